@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from fracture_collision.core.patches.pair_contacts import Patch, Placing, mesh_patch
+from fracture_collision.core.patches.pair_contacts import Patch, Placing, Wanted, mesh_patch
 from fracture_collision.core.patches.shapes import Shapes, ShapeTable, hull_of
 
 UP = (0.0, 0.0, 1.0)
@@ -35,7 +35,7 @@ def patch(
     b = Placing(np.array([eye] * 3), np.array([rest, *[turned.T @ np.subtract(now if end is None else end, now)] * 2]))
     a = Placing(np.array([turned.T] * 3), np.array([turned.T @ -np.asarray(now, float)] * 3))
     hulls = hull_of(shapes, 0), hull_of(shapes, 1)
-    return mesh_patch(shapes, (0, 1), hulls, (a, b), 0, tolerance, moved, most, np.zeros(3))
+    return mesh_patch(shapes, (0, 1), hulls, (a, b), 0, Wanted(tolerance, moved, most), np.zeros(3))
 
 
 @pytest.mark.parametrize("gap", [0.0, 5e-5, -1e-3, -0.04])

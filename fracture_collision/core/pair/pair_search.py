@@ -18,7 +18,7 @@ from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hu
 from fracture_collision.core.memory.compiled import spliced_kernel
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.pair.crowds import UNSHARED
-from fracture_collision.core.patches.pair_contacts import put_patch
+from fracture_collision.core.patches.pair_contacts import Wanted, put_patch
 from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes, have_patches
 from fracture_collision.core.search.neighbour_lists import (
     FAST,
@@ -81,8 +81,8 @@ def patch_pair(geometry, pair, moving, rule, slot, sink, scratch):
         keep_pose(pair.rotation, pair.translation, slot.lists.poses[slot.row])
     else:
         remembered[0] = 0.0
-    most = min(rule.wanted, rule.limit)
-    count, bound, is_ahead = put_patch(geometry.shapes, pair, moving, rule.near, moved, most, remembered, sink)
+    wanted = Wanted(rule.near, moved, min(rule.wanted, rule.limit))
+    count, bound, is_ahead = put_patch(geometry.shapes, pair, moving, wanted, remembered, sink)
     ended = BY_LIMIT if count == rule.limit < rule.wanted else COMPLETE
     return True, Found(count, bound, 0, ended, 0.0), is_ahead
 

@@ -40,6 +40,14 @@ class Placing(NamedTuple):
     positions: np.ndarray  # (3, 3) [m]
 
 
+class Wanted(NamedTuple):
+    """Which contacts."""
+
+    near: float  # [m] the detection tolerance
+    moved: float  # [m] how far the two moved since they were one, infinity: never
+    most: int
+
+
 class Patch(NamedTuple):
     """Contacts of one direction, in b's frame at the beginning; gaps are positive where the two touch later."""
 
@@ -52,11 +60,10 @@ class Patch(NamedTuple):
 
 
 @allocating_kernel
-def put_patch(shapes, pair, moving, near, one_body, most, remembered, sink):
+def put_patch(shapes, pair, moving, wanted, remembered, sink):
     """Write the contacts of a Pair of convex fragments, now or within the time of a Moving, to a Sink, if it has room.
 
-    near [m]: the detection tolerance; one_body [m]: how far the two moved since they were one, infinity: never; most:
-    contacts listed; remembered (3,): what kept the two apart before, which is tried first and has no influence on what
+    wanted: Wanted; remembered (3,): what kept the two apart before, which is tried first and has no influence on what
     is listed. Returns (contacts, missed depth bound [m], whether they depend on the motion).
     """
     i, j, rotations, positions, motion = moving
@@ -74,7 +81,7 @@ def put_patch(shapes, pair, moving, near, one_body, most, remembered, sink):
                     turns[row], places[row] = rotations[k], positions[k]
         placings = _seen_from(turns, places, 0), _seen_from(turns, places, 3)
         more = max(parts - 1 - part, 0)
-        patch = mesh_patch(shapes, (pair.a, pair.b), hulls, placings, more, near, one_body, most, remembered)
+        patch = mesh_patch(shapes, (pair.a, pair.b), hulls, placings, more, wanted, remembered)
         count = len(patch.gaps)
         if part == 0:
             bound = patch.overlap
@@ -120,13 +127,12 @@ def _put(sink, k, p, q, n, number):
 
 
 @kernel
-def mesh_patch(shapes, rows, hulls, placings, more, tolerance, moved, most, remembered):
+def mesh_patch(shapes, rows, hulls, placings, more, wanted, remembered):
     """The Patch of two fragments with surfaces, by rows (a, b) of Shapes; without contacts where they stay apart.
 
-    hulls, placings: of both; more: further parts of the step; tolerance [m]; moved [m]: how far they moved since they
-    were one, infinity: never; most: contacts wanted; remembered: see put_patch.
+    hulls, placings: of both; more: further parts of the step; wanted, remembered: see put_patch.
     """
-    a, b = rows
+    (a, b), tolerance = rows, wanted.near
     parting = parting_direction(hulls[0], hulls[1], _relative(placings), tolerance, remembered)
     n = np.array([parting.x, parting.y, parting.z])
     if parting.is_apart:
@@ -142,18 +148,18 @@ def mesh_patch(shapes, rows, hulls, placings, more, tolerance, moved, most, reme
     moves = _moves(placings, hulls[0])
     found = facing_points(first, last, n, tolerance + (1.0 - share + more) * moves, size)
     # a point inside is no farther from the surface than both are moved to be apart, or were moved to get there
-    overlap = min(max(-parting.now, 0.0), moved)
-    return _listed(found, placings, (share, overlap), n, more, tolerance, size, moved, most)
+    overlap = min(max(-parting.now, 0.0), wanted.moved)
+    return _listed(found, placings, (share, overlap), n, more, wanted, size)
 
 
 @kernel
-def _listed(found, placings, at, n, more, tolerance, size, moved, most):
+def _listed(found, placings, at, n, more, wanted, size):
     """The Patch of the best of FacingPoints, none where none is within the tolerance now or at the end.
 
     at: share of the part of the step at which they are, the overlap. A point is listed if it is within the tolerance
     then or at the end of the step.
     """
-    share, overlap = at
+    (share, overlap), (tolerance, moved, most) = at, wanted
     count, touches = len(found.gaps), False
     points, others, gaps = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
     least = np.empty(count)
