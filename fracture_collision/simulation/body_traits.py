@@ -10,6 +10,7 @@ import numpy as np
 from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.engine.engine import BodyStates
 from fracture_collision.simulation.scene.scene import SceneBody
+from fracture_collision.simulation.solver.touch_ahead import Forms
 
 
 class Traits(NamedTuple):
@@ -19,28 +20,29 @@ class Traits(NamedTuple):
     body_ids: np.ndarray  # (n + 1,) int64; the last, -1, for what cannot move
     rolling_arms: np.ndarray  # (n + 1,) [m]; the last, 0, for what cannot move
     strengths: np.ndarray  # (n,) [N s]; inf for what does not break
-    is_round: np.ndarray  # (n + 1,) bool: spheres; the last, False, for what cannot move
+    forms: Forms
 
 
 def traits_of(
     states: BodyStates,
     bodies: Mapping[int, SceneBody],
+    sizes: Mapping[int, float],
     body_ids: Mapping[int, int],
     breakable: Mapping[int, BreakableBody],
     held_together: Container[int],
 ) -> Traits:
     """Traits of the bodies in `states`.
 
-    The other arguments are the simulation's own tables: `bodies` and `breakable` by body id, `body_ids` by fragment id,
-    `held_together`: fragments that do not break.
+    The other arguments are the simulation's own tables: `bodies`, their R `sizes` [m] and `breakable` by body id,
+    `body_ids` by fragment id, `held_together`: fragments that do not break.
     """
     numbers = np.array([*(body_ids[fragment] for fragment in states.fragment_ids.tolist()), -1], dtype=np.int64)
     arms, strengths = np.zeros(len(states.masses) + 1), np.full(len(states.masses), np.inf)
-    is_round = np.zeros(len(arms), np.bool_)
+    forms = Forms(np.zeros(len(arms), np.bool_), np.full(len(arms), np.inf))
     for i, (fragment_id, body_id) in enumerate(zip(states.fragment_ids.tolist(), numbers.tolist(), strict=False)):
         material, mesh = bodies[body_id].material, breakable.get(body_id)
         fracture, arms[i] = material.fracture, material.rolling_arm
-        is_round[i] = bodies[body_id].shape.kind == "sphere"
+        forms.is_round[i], forms.sizes[i] = bodies[body_id].shape.kind == "sphere", sizes[body_id]
         if (
             fracture is not None
             and mesh is not None
@@ -49,4 +51,4 @@ def traits_of(
             and mesh.node_count(fragment_id) >= 2 * fracture.pattern.minimum_nodes
         ):
             strengths[i] = fracture.strength
-    return Traits(states.fragment_ids, numbers, arms, strengths, is_round)
+    return Traits(states.fragment_ids, numbers, arms, strengths, forms)

@@ -25,6 +25,7 @@ class Cast:
             i: BreakableBody(i, i, body.shape.mesh) for i, body in self.body_of.items() if body.shape.mesh is not None
         }
         self.body_id_of = {i: i for i in self.body_of}  # of each living fragment
+        self.sizes = {i: body.shape.half_length() for i, body in self.body_of.items()}  # R [m], by body id
         # A static body in the world frame is left out of the states.
         still = np.zeros(3)
         self.static_frames = {
@@ -70,6 +71,7 @@ class Cast:
         number = self._next_fragment_id
         self._next_fragment_id += 1
         self.body_of[number], self.body_id_of[number] = body, number
+        self.sizes[number] = body.shape.half_length()
         if body.shape.mesh is not None:
             self.breakable[number] = BreakableBody(number, number, body.shape.mesh)
         self._news.append(self._numbered(collision_body(number, body)))
@@ -87,7 +89,7 @@ class Cast:
                 engine.remove(fragment_id)
             del self.body_id_of[fragment_id]
         self._unthrown = [each for each in self._unthrown if each[1] != body_id]
-        del self.body_of[body_id]
+        del self.body_of[body_id], self.sizes[body_id]
         self._news.append(self._numbered(collision_body(body_id, body)._replace(operation=REMOVE)))
         return gone
 

@@ -29,12 +29,13 @@ from fracture_collision.simulation.actors.arm_control import ArmControl
 from fracture_collision.simulation.actors.drag import Drag
 from fracture_collision.simulation.body_traits import Traits, traits_of
 from fracture_collision.simulation.cast import Cast
-from fracture_collision.simulation.engine.engine import BodyStates, Engine, FrameState, rows_of
+from fracture_collision.simulation.engine.engine import BodyStates, Engine, FrameState
 from fracture_collision.simulation.engine.free_motion import free_velocities
 from fracture_collision.simulation.engine.pushes import NO_CHANGES, Changes, Planned, Pusher, Pushes, planned, pushes_of
 from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene.scene import Fracture, Scene, SceneBody
+from fracture_collision.simulation.shared_traits import SharedTraits, shared_traits
 from fracture_collision.simulation.solver import contact_memory, sleep
 from fracture_collision.simulation.solver.breaking_impacts import hardest_hit, solve_with_strengths
 from fracture_collision.simulation.solver.contact_memory import with_remembered
@@ -43,13 +44,12 @@ from fracture_collision.simulation.solver.contact_solver import (
     BodyPairs,
     RigidBodies,
     Solution,
+    bounce_speeds,
     kinetic_energy,
 )
 from fracture_collision.simulation.solver.rest_gaps import rest_gaps_of
 from fracture_collision.simulation.solver.touch_ahead import StepContacts, held_back, split_by_gap
 from fracture_collision.simulation.step_records import StepReport, StepRequest, fragment_states
-
-_NO_GRAVITY = np.zeros(3)
 
 
 class _Solved(NamedTuple):
@@ -222,10 +222,15 @@ class Simulation:
             contacts = self.arm.without_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))
         settings, time_step = self._scene.solver, self._scene.time_step
-        contacts, ahead = split_by_gap(contacts, settings.ahead_gap)
+        traits = self._traits(states)
+        shared = shared_traits(contacts, traits, self._cast)
+        contacts, ahead = split_by_gap(contacts, shared.sizes, settings.ahead_gap)
+        if ahead is not None:
+            shared = shared_traits(contacts, traits, self._cast)
         touched = self._memory.fragment_a, self._memory.fragment_b
-        contacts, self._memory = with_remembered(contacts, requested, self._memory, settings.memory_reach)
-        pairs = self._body_pairs(contacts, states)
+        reach = settings.memory_reach * shared.sizes
+        contacts, self._memory = with_remembered(contacts, requested, self._memory, reach)
+        pairs = self._body_pairs(shared)
         searched = _velocities(self._to_search(states)) if self._looks_ahead else None
         if self._planned is None:
             pushes = self._pushes(states)
@@ -236,7 +241,7 @@ class Simulation:
         rest = sleep.roused(self._rest, states.fragment_ids, touched, np.any(pushes.velocities, axis=1))
         self._rest = sleep.settled(rest, self._memory.pair_begin, pairs.body_a, pairs.body_b, settings.sleep_time)
         solution, overloaded = solve_with_strengths(
-            bodies, contacts, pairs, self._warm_start, settings, time_step, self._traits(states).strengths,
+            bodies, contacts, pairs, self._warm_start, settings, time_step, traits.strengths,
             self._rest.asleep,
         )  # fmt: skip
         self._warm_start = solution.warm_start
@@ -247,13 +252,14 @@ class Simulation:
         )
 
     def _move(self, states: BodyStates, solved: _Solved) -> None:
-        settings, time_step = self._scene.solver, self._scene.time_step
+        settings, time_step, forms = self._scene.solver, self._scene.time_step, self._traits(states).forms
         v, drift, self.shares = held_back(
-            states, solved.contacts, solved.searched, self._traits(states).is_round, solved.solution,
+            states, solved.contacts, solved.searched, forms, solved.solution,
             self._scene.gravity, settings, time_step,
         )  # fmt: skip
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
-        self._rest = sleep.after_step(self._rest, states.masses, states.inertias, v + drift, settings, time_step)
+        farthest = sleep.farthest_at_rest(settings, forms.sizes[:-1], self._scene.gravity)
+        self._rest = sleep.after_step(self._rest, states.masses, states.inertias, v + drift, farthest, time_step)
 
     def _break_overloaded(self, states: BodyStates, moved: BodyStates, solved: _Solved) -> None:
         """Break the overloaded fragments, those of `states` before the step; `moved`: after it."""
@@ -277,46 +283,37 @@ class Simulation:
         return pushes_of(self._pushers, states, self.time, self._scene.time_step, self._scene.gravity)
 
     def _to_search(self, states: BodyStates) -> BodyStates:
-        """`states` with the velocities of the coming step before contacts and gravity.
+        """`states` with the velocities of the coming step before contacts.
 
-        Otherwise the look-ahead would miss what a hand adds, and the gyroscopic torque, which turns the axis of a fast
-        shard by a radian.
+        Otherwise the look-ahead would miss what a hand adds, the gyroscopic torque, which turns the axis of a fast
+        shard by a radian, and gravity, by which a body at rest beside a seam would fall into it. Bodies asleep do not
+        fall.
         """
         velocities = _velocities(states)
         if self._planned is not None:
             velocities = velocities + self._planned.expected.of(states.fragment_ids)
-        free = free_velocities(velocities, states.inertias, _NO_GRAVITY, self._scene.time_step)
-        return states._replace(linear=velocities[:, :3].copy(), angular=free[:, 3:].copy())
+        free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
+        asleep = np.isin(states.fragment_ids, self._rest.fragment_ids[self._rest.asleep])
+        linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
+        return states._replace(linear=linear, angular=free[:, 3:].copy())
 
     def _rigid_bodies(self, states: BodyStates, pushes: np.ndarray) -> RigidBodies:
         velocities = _velocities(states) + pushes
         free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
         return RigidBodies(states.masses, states.inertias, states.centers, velocities, free)
 
-    def _body_pairs(self, contacts: ContactConstraintArray, states: BodyStates) -> BodyPairs:
-        immovable = len(states.fragment_ids)
-        traits = self._traits(states)
-        arms_of, bodies_of = traits.rolling_arms, traits.body_ids
-
-        def rows_and_arms(fragments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            rows = rows_of(fragments, states.fragment_ids)
-            arms = arms_of[rows]
-            for fragment in np.unique(fragments[rows == immovable]).tolist():
-                if fragment not in self._cast.body_id_of or not self._cast.scene_body(fragment).is_static:
-                    raise ValueError(f"contacts of step {contacts.step}: fragment {fragment} is not in the states")
-                arms[fragments == fragment] = self._cast.scene_body(fragment).material.rolling_arm
-            return rows, arms
-
-        (a, arms_a), (b, arms_b) = rows_and_arms(contacts.fragment_a), rows_and_arms(contacts.fragment_b)
-        one_body = (bodies_of[a] == bodies_of[b]) & (a < immovable)
-        rest_gaps = rest_gaps_of(self._memory, one_body, self._scene.solver.rest_gap)
-        return BodyPairs(a, b, np.maximum(arms_a, arms_b), rest_gaps)
+    def _body_pairs(self, shared: SharedTraits) -> BodyPairs:
+        settings = self._scene.solver
+        bounces = bounce_speeds(settings, shared.sizes, self._scene.gravity)
+        gaps = rest_gaps_of(self._memory, shared.is_one_body, settings.rest_gap * shared.sizes)
+        return BodyPairs(shared.body_a, shared.body_b, shared.rolling_arm, shared.sizes, bounces, gaps)
 
     def _traits(self, states: BodyStates) -> Traits:
         if self._known_traits is None or not np.array_equal(self._known_traits.fragment_ids, states.fragment_ids):
             self._known_traits = traits_of(
-                states, self._cast.body_of, self._cast.body_id_of, self._cast.breakable, self._held_together
-            )
+                states, self._cast.body_of, self._cast.sizes, self._cast.body_id_of, self._cast.breakable,
+                self._held_together,
+            )  # fmt: skip
         return self._known_traits
 
     def _break(self, fragment_id: int, frame: FrameState, impact: np.ndarray, overload: float) -> bool:

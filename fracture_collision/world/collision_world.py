@@ -25,6 +25,7 @@ from fracture_collision.core.pair.narrow_phase import (
     query_pairs,
 )
 from fracture_collision.core.pair.pair_search import Geometry
+from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes
 from fracture_collision.core.search.scratch import Scratch, scratch_for
 from fracture_collision.process.compile_progress import report_compilation
 from fracture_collision.records import (
@@ -172,8 +173,8 @@ class CollisionWorld:
         pairs_found = perf_counter()
         remembered = self._take_remembered() if self.settings.neighbour_lists else None
         scene = Scene(
-            Geometry(pools, edges), Step(rows, rotations, positions, pairs), motion, paired.overlaps,
-            self._surfaces_to_search(), self._registry.changes,
+            Geometry(pools, edges, self._shapes_to_search()), Step(rows, rotations, positions, pairs), motion,
+            paired.overlaps, self._surfaces_to_search(), self._registry.changes,
         )  # fmt: skip
         found, now_remembered = query_pairs(
             scene, _rule(self.settings), self._scratch, self._crew, remembered, _work_limits(self.settings, len(pairs))
@@ -299,6 +300,10 @@ class CollisionWorld:
     def _edges_to_search(self) -> Ridges:
         """Ridges of all fragments; none where their crossings are not searched."""
         return self._registry.geometry.ridges if has_edges(self.settings) else NO_RIDGES
+
+    def _shapes_to_search(self) -> Shapes:
+        """Hulls and surfaces of all fragments; none where contacts are samples alone."""
+        return self._registry.geometry.shapes if has_edges(self.settings) else NO_SHAPES
 
     def _surfaces_to_search(self) -> ElementTable | None:
         """Surface elements, built on demand and kept as long as rows keep their numbers."""

@@ -15,7 +15,7 @@ from worlds.hard_worlds import block
 from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
-SETTINGS = Settings(threads=1, contacts_per_pair=10_000, normals="facing")
+SETTINGS = Settings(threads=1, contacts_per_pair=10_000, normals="facing", surfaces="sampled")
 # facing_normal.py: limits for parallel normals, for how much farther a facing surface may be, for rounding (R).
 SAME_WAY, FARTHER, SLACK = 0.25, 0.03, 1e-12
 SIZE = np.array([2.0, 1.6, 1.0])

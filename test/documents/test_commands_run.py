@@ -74,6 +74,7 @@ NOT_RUN = {
     r"python -m benchmarks\.(speed_error|frames|scaling|surfaces|tunnelling|page).*": "compares times",
     r"python -m campaigns\.(kills|bad_input|soak)(\.fuzz)?( --times 12 --others 1| --seconds 420)?": "is a campaign",
     r"python -m campaigns\.late_floor": "is a campaign",
+    r"python -m benchmarks\.elementary": "its scenes are those of test_elementary",
 }  # fmt: skip
 
 

@@ -39,7 +39,7 @@ def test_the_bound_holds_for_a_hundred_thousand_pairs() -> None:
 def test_crack_samples_close_around_an_interior_node_are_not_missed() -> None:
     """A crack 0.0005 R beside a layer of interior nodes: their crack samples lie within epsilon of them."""
     body = brick((2.0, 2.0, 2.0), 0.5)
-    oracle, world = FragmentedBody(*body), CollisionWorld(Settings(threads=1))
+    oracle, world = FragmentedBody(*body), CollisionWorld(Settings(threads=1, surfaces="sampled"))
     event = voronoi_event(oracle, 1, np.array([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]]), 2)
     oracle.apply(event)
     message = CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel(), density=1.0)

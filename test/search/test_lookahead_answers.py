@@ -166,7 +166,7 @@ def test_a_rod_that_touches_with_one_end_gets_contacts_at_the_other(degrees: flo
     listed = world.contacts(rod_on_one_end(world, degrees))
     touching = now.contacts(rod_on_one_end(now, degrees))
     assert 0 < len(touching.gaps) == (listed.gaps < 1e-3).sum()
-    assert np.array_equal(listed.contact_ids[: len(touching.gaps)], touching.contact_ids)
+    assert np.isin(touching.contact_ids, listed.contact_ids).all()
     # the lower edge of the other end is 0.1 sin 20 above the point of impact
     far = listed.gaps[listed.gaps > 1e-3]
     assert (len(far) > 0) == hits and (not hits or abs(far.max() - 0.1 * np.sin(np.radians(20.0))) < 2e-3)

@@ -40,8 +40,7 @@ def test_a_hundred_bodies_in_one_place_are_answered(kind: str, spread: float) ->
     assert size_of(answer) < 20e6
     # every pair has a contact or is listed for its bound
     assert kind == "tetrahedra" or len(answer.fragment_a) >= 4900
-    if kind != "spheres":
-        assert answer.status == BUDGET_EXHAUSTED
+    assert (answer.status == BUDGET_EXHAUSTED) == (kind == "mixed")  # the others are convex
 
 
 def test_a_thousand_bodies_in_one_place_are_rejected_with_an_explanation() -> None:
@@ -80,10 +79,10 @@ def test_shares_do_not_depend_on_threads_lists_or_earlier_steps(kind: str) -> No
 @pytest.mark.parametrize("kind", ["boxes", "tetrahedra", "mixed"])
 def test_bounds_between_samples_do_not_depend_on_earlier_steps(kind: str) -> None:
     """Bodies arrive, and pairs that stand still lose contacts to the limit: they are searched between samples again."""
-    answers = []
+    answers, most = [], 60 if kind == "mixed" else 24
     for lists in (True, False):
         world, states = crowd(
-            kind, 12, 1.3, neighbour_lists=lists, surfaces="searched", max_contacts=60, contacts_per_pair=4
+            kind, 12, 1.3, neighbour_lists=lists, surfaces="searched", max_contacts=most, contacts_per_pair=4
         )
         positions = np.append(states.positions[:18], 3.0 * states.positions[18:])
         before = world.contacts(states._replace(positions=positions))

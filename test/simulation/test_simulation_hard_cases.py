@@ -301,7 +301,7 @@ def test_a_plate_rolls_on_its_rim(time_step):
         for states in track.states
     ]
     lowest = np.array([(turn.apply(vertices) + position)[:, 2].min() for turn, position, _ in poses])
-    assert np.abs(lowest - scene.solver.rest_gap).max() < 1e-5
+    assert np.abs(lowest - RIM_RADIUS * scene.solver.rest_gap).max() < 1e-5
     assert track.contacts.max() <= 6
     assert track.contacts.min() >= 1
 

@@ -9,7 +9,7 @@ from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.simulation.solver.contact_memory import NOTHING, with_remembered
 from fracture_collision.simulation.solver.rest_gaps import rest_gaps_of
 
-REACH = 2.5e-4
+REACH = np.full(2, 2.5e-4)  # of each pair; the tests have one or two
 
 
 def states_of(frames):
@@ -119,6 +119,7 @@ def test_fragments_of_one_body_rest_in_contact_until_they_have_moved():
     contacts = contacts_of((3, 4, [(1, near, near, UP), (2, far, far, UP)]), (3, 8, [(3, near, near, UP)]))
     states = states_of({3: STILL, 4: (moved, turn), 8: STILL})
     _, memory = with_remembered(contacts, states, NOTHING, REACH)
-    assert rest_gaps_of(memory, np.array([True, False]), 1e-4).tolist() == [0.0, 1e-4, 1e-4]
-    assert rest_gaps_of(memory, np.array([False, False]), 1e-4).tolist() == [1e-4] * 3
-    assert rest_gaps_of(NOTHING, np.zeros(0, bool), 1e-4).tolist() == []
+    rest_gaps = np.array([1e-4, 2e-4])
+    assert rest_gaps_of(memory, np.array([True, False]), rest_gaps).tolist() == [0.0, 1e-4, 2e-4]
+    assert rest_gaps_of(memory, np.array([False, False]), rest_gaps).tolist() == [1e-4, 1e-4, 2e-4]
+    assert rest_gaps_of(NOTHING, np.zeros(0, bool), np.zeros(0)).tolist() == []

@@ -36,12 +36,13 @@ def contacts(gaps: list[list[float]]) -> ContactConstraintArray:
 
 def test_contacts_are_split_by_their_gaps() -> None:
     listed = contacts([[-1e-3, 0.2, 1e-4], [0.3], [], [0.0]])
-    now, ahead = split_by_gap(listed, 5e-4)
-    assert now.gaps.tolist() == [-1e-3, 1e-4, 0.0] and now.contact_ids.tolist() == [0, 2, 4]
-    assert now.fragment_b.tolist() == [2, 4, 5] and now.pair_begin.tolist() == [0, 2, 2, 3]
-    assert len(now.points_b) == 9 and len(now.missed_depth_bound) == 3
-    assert ahead.fragment_b.tolist() == [2, 3] and ahead.points_b[:, 0].tolist() == [0.2, 0.3]
-    same, none = split_by_gap(now, 5e-4)
+    sizes = np.array([0.1, 200.0, 0.1, 0.1])
+    now, ahead = split_by_gap(listed, sizes, 0.005)
+    assert now.gaps.tolist() == [-1e-3, 1e-4, 0.3, 0.0] and now.contact_ids.tolist() == [0, 2, 3, 4]
+    assert now.fragment_b.tolist() == [2, 3, 4, 5] and now.pair_begin.tolist() == [0, 2, 3, 3, 4]
+    assert len(now.points_b) == 12 and len(now.missed_depth_bound) == 4
+    assert ahead.fragment_b.tolist() == [2] and ahead.points_b[:, 0].tolist() == [0.2] and ahead.sizes.tolist() == [0.1]
+    same, none = split_by_gap(now, sizes, 0.005)
     assert none is None and same is now
 
 

@@ -86,7 +86,7 @@ def hooked():
 
 def test_a_slab_on_an_invisibly_narrow_edge_falls():
     scene = hooked()
-    in_contact = scene.solver._replace(rest_gap=0.0, rest_slop=1e-4)
+    in_contact = scene.solver._replace(rest_gap=0.0, rest_slop=0.002)
     for solver, floats in ((scene.solver, False), (in_contact, True)):
         with Lockstep(scene._replace(solver=solver), Settings(threads=1, selection="complete")) as run:
             for _ in range(100):

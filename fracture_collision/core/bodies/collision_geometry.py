@@ -44,6 +44,7 @@ from fracture_collision.core.mesh.occupancy import cells_of_boxes, mark_all, mar
 from fracture_collision.core.mesh.primitives import box_edge_points, box_sampling_gap
 from fracture_collision.core.mesh.sample_numbers import NewSamples
 from fracture_collision.core.mesh.triangle_field import append_triangle_mesh
+from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes, ShapeTable, triangles_of
 from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree
 
 # [bytes] Less garbage is not worth a compaction.
@@ -67,6 +68,7 @@ class CollisionGeometry:
         self._moments = GrowableArray(10, np.float64)
         self._gaps = GrowableArray(0, np.float64)
         self._ridges = RidgeTable() if has_ridges else None
+        self._shapes = ShapeTable() if has_ridges else None
         self._scratch, self._room = make_cut_scratch(), touched_room(0)
         self._meshes: list[tuple[PreparedMesh, MeshRows]] = []  # by row in the pools
         self._surfaces: list[tuple[PreparedSurface, SurfaceMeshRows]] = []
@@ -82,6 +84,11 @@ class CollisionGeometry:
     def ridges(self) -> Ridges:
         """Ridges of all fragments; empty without has_ridges."""
         return NO_RIDGES if self._ridges is None else self._ridges.view
+
+    @property
+    def shapes(self) -> Shapes:
+        """Hulls and surfaces of all fragments; empty without has_ridges."""
+        return NO_SHAPES if self._shapes is None else self._shapes.view
 
     def sampling_gaps(self, rows: np.ndarray) -> np.ndarray:
         """Upper bounds (n,) [m] of the distance from a surface point of fragments `rows` (n,) to its nearest sample."""
@@ -145,8 +152,9 @@ class CollisionGeometry:
         moved, meshes, surfaces = compact(self._tables, (self._moments, self._gaps), np.sort(rows), *own)
         self._meshes = [(self._meshes[old][0], new) for old, new in meshes]
         self._surfaces = [(self._surfaces[old][0], new) for old, new in surfaces]
-        if self._ridges is not None:
+        if self._ridges is not None and self._shapes is not None:
             self._ridges.keep(moved.stays)
+            self._shapes.keep(moved.stays)
         self._garbage = 0
         return moved.position[rows]
 
@@ -334,8 +342,10 @@ class CollisionGeometry:
         return row
 
     def _find_ridges(self, first: int, end: int) -> None:
-        if self._ridges is not None:
-            self._ridges.append(self.pools, first, end)
+        if self._ridges is not None and self._shapes is not None:
+            triangles, begin = triangles_of(self.pools, first, end)
+            self._ridges.append(self.pools, first, triangles, begin)
+            self._shapes.append(triangles, begin)
 
     def _mesh_rows(self, prepared: PreparedMesh) -> MeshRows:
         for known, rows in self._meshes:

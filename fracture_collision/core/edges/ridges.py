@@ -12,11 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
-from fracture_collision.core.memory.kinds import BOX, TRIANGLES, WITH_FACES
 from fracture_collision.core.memory.pools import LEAF, GrowableArray, Pools
-from fracture_collision.core.mesh.point_location import holds_fragment
-from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
-from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
 from fracture_collision.core.tree.sample_leaves import place_on_curve
 
 # Minimum turn of the surface at a ridge (chord of the angle), and minimum length as a share of R: where flatter or
@@ -63,15 +59,14 @@ class RidgeTable:
         boxes = self._boxes.view.reshape(-1)
         return Ridges(self._first.view, self._count.view, self._rows.view, boxes, self._most.view, lines)
 
-    def append(self, pools: Pools, first: int, end: int) -> None:
-        """Add the ridges of the fragments first .. end - 1, which were made last."""
-        for f in range(first, end):
-            count = 0
-            if pools.fragment.kind[f] in WITH_FACES:
-                count = find_ridges(pools, f, self._room)
-                if count > len(self._room):
-                    self._room = np.empty((2 * count, RIDGE))
-                    find_ridges(pools, f, self._room)
+    def append(self, pools: Pools, first: int, triangles: np.ndarray, begin: np.ndarray) -> None:
+        """Add the ridges of the fragments from row `first` on, which were made last, by their triangles_of."""
+        for k in range(len(begin) - 1):
+            f, its = first + k, triangles[begin[k] : begin[k + 1]]
+            count = find_ridges(its, pools.fragment.radius[f], self._room)
+            if count > len(self._room):
+                self._room = np.empty((2 * count, RIDGE))
+                find_ridges(its, pools.fragment.radius[f], self._room)
             leaves = -(-count // LEAF)
             rows, boxes = self._rows.reserve(LEAF * leaves), self._boxes.reserve(leaves).reshape(-1)
             most, lines = self._most.reserve(leaves), self._lines.reserve(leaves).reshape(-1, LINE, LEAF)
@@ -96,16 +91,15 @@ NO_RIDGES = RidgeTable().view
 
 
 @kernel
-def find_ridges(pools, f, out):
-    """Write the ridges of fragment `f` as rows to out (n, RIDGE), as far as there is room; returns their total number.
+def find_ridges(triangles, radius, out):
+    """Write the ridges of a surface as rows to out (n, RIDGE), as far as there is room; returns their total number.
+
+    triangles (t, 9) [m]: corners, counter-clockwise from outside; radius [m]: R of the fragment.
 
     Triangles of a surface share whole edges, whose ends are equal to the last bit in both; they are matched by a hash
     of these. An edge of one triangle alone borders a triangle lost to rounding, and is left out.
     """
-    pieces = _pieces_of(pools, f)
-    edges = 0
-    for piece in pieces:
-        edges += 3 * count_triangles(pools, f, piece)
+    edges = 3 * len(triangles)
     places = 16
     while places < _MORE_THAN_EDGES * edges:
         places *= 2
@@ -113,52 +107,47 @@ def find_ridges(pools, f, out):
     # ends, across it into the face, normal of the face
     seen, is_open = np.empty((edges, 12)), np.ones(edges, np.bool_)
     count, used = 0, 0
-    here, still = np.eye(3), np.zeros(3)
-    c = np.empty(9)
-    for piece in pieces:
-        for k in range(count_triangles(pools, f, piece)):
-            if not put_triangle(pools, f, piece, k, here, still, c):
-                continue
-            nx, ny, nz, length = _normal(c)
+    for c in triangles:
+        nx, ny, nz, length = _normal(c)
+        if not length > 0.0:
+            continue
+        for i in range(3):
+            p, q = c[3 * i : 3 * i + 3], c[3 * ((i + 1) % 3) : 3 * ((i + 1) % 3) + 3]
+            tx, ty, tz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+            length = math.sqrt(tx * tx + ty * ty + tz * tz)
             if not length > 0.0:
                 continue
-            for i in range(3):
-                p, q = c[3 * i : 3 * i + 3], c[3 * ((i + 1) % 3) : 3 * ((i + 1) % 3) + 3]
-                tx, ty, tz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-                length = math.sqrt(tx * tx + ty * ty + tz * tz)
-                if not length > 0.0:
-                    continue
-                tx, ty, tz = tx / length, ty / length, tz / length
-                x, y, z = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-                place = _hash(p[0] + q[0], p[1] + q[1], p[2] + q[2]) & (places - 1)
-                while seen_at[place] >= 0 and not (
-                    is_open[seen_at[place]] and _is_reverse(seen[seen_at[place]], p, q)
-                ):
-                    place = (place + 1) & (places - 1)
-                if seen_at[place] < 0:
-                    seen_at[place], r = count, seen[count]
-                    for d in range(3):
-                        r[d], r[3 + d] = p[d], q[d]
-                    r[6], r[7], r[8], r[9], r[10], r[11] = x, y, z, nx, ny, nz
-                    count += 1
-                    continue
-                r = seen[seen_at[place]]
-                is_open[seen_at[place]] = False
-                turn = math.sqrt(max(2.0 * (1.0 + x * r[6] + y * r[7] + z * r[8]), 0.0))
-                falls_away = x * r[9] + y * r[10] + z * r[11] < 0.0
-                if not falls_away or turn < LEAST_TURN or length < LEAST_LENGTH * pools.fragment.radius[f]:
-                    continue
-                if used < len(out):
-                    row = out[used]
-                    for d in range(9):
-                        row[d] = r[d]
-                    row[9], row[10], row[11] = x, y, z
-                    # where the faces fold back there is no half-way normal
-                    ox, oy, oz = r[9] + nx - r[6] - x, r[10] + ny - r[7] - y, r[11] + nz - r[8] - z
-                    far = math.sqrt(ox * ox + oy * oy + oz * oz)
-                    row[12], row[13], row[14] = ox / far, oy / far, oz / far
-                    row[LENGTH], row[TURN] = length, turn
-                used += 1
+            tx, ty, tz = tx / length, ty / length, tz / length
+            x, y, z = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+            place = _hash(p[0] + q[0], p[1] + q[1], p[2] + q[2]) & (places - 1)
+            while seen_at[place] >= 0 and not (
+                is_open[seen_at[place]] and _is_reverse(seen[seen_at[place]], p, q)
+            ):
+                place = (place + 1) & (places - 1)
+            if seen_at[place] < 0:
+                seen_at[place], r = count, seen[count]
+                for d in range(3):
+                    r[d], r[3 + d] = p[d], q[d]
+                r[6], r[7], r[8], r[9], r[10], r[11] = x, y, z, nx, ny, nz
+                count += 1
+                continue
+            r = seen[seen_at[place]]
+            is_open[seen_at[place]] = False
+            turn = math.sqrt(max(2.0 * (1.0 + x * r[6] + y * r[7] + z * r[8]), 0.0))
+            falls_away = x * r[9] + y * r[10] + z * r[11] < 0.0
+            if not falls_away or turn < LEAST_TURN or length < LEAST_LENGTH * radius:
+                continue
+            if used < len(out):
+                row = out[used]
+                for d in range(9):
+                    row[d] = r[d]
+                row[9], row[10], row[11] = x, y, z
+                # where the faces fold back there is no half-way normal
+                ox, oy, oz = r[9] + nx - r[6] - x, r[10] + ny - r[7] - y, r[11] + nz - r[8] - z
+                far = math.sqrt(ox * ox + oy * oy + oz * oz)
+                row[12], row[13], row[14] = ox / far, oy / far, oz / far
+                row[LENGTH], row[TURN] = length, turn
+            used += 1
     return used
 
 
@@ -190,26 +179,6 @@ def _hash(x, y, z):
 def _bits(x):
     """Bits of a number; both zeros have the same."""
     return np.float64(x + 0.0).view(np.int64)
-
-
-@kernel
-def _pieces_of(pools, f):
-    """Pieces that may hold triangles of fragment f's surface, for put_triangle."""
-    kind, k = pools.fragment.kind[f], pools.fragment.mesh[f]
-    if kind == BOX:
-        return np.arange(6)
-    if kind == TRIANGLES:
-        return np.arange(pools.triangles.triangle_range[k, 0], pools.triangles.triangle_range[k, 1])
-    first = pools.mesh.first[k, FIRST_TETRAHEDRON]
-    end = len(pools.mesh.tetrahedra)
-    if k + 1 < len(pools.mesh.first):
-        end = pools.mesh.first[k + 1, FIRST_TETRAHEDRON]
-    pieces, used = np.empty(end - first, np.int64), 0
-    for t in range(first, end):
-        if holds_fragment(pools, f, t):
-            pieces[used] = t
-            used += 1
-    return pieces[:used]
 
 
 @kernel

@@ -36,6 +36,9 @@ kernel = _cached()
 # Query kernels allocate nothing, so reference counting is off: with it, six sevenths of a query's time went into atomic
 # increments for arrays taken out of the pools. Where another kernel calls one, it stays a call (callees.py).
 query_kernel = _cached(_nrt=False, forceinline=False)  # unset, it would be inherited from the caller
+# For kernels that allocate and that query kernels call: numba would otherwise let them inherit that reference counting
+# is off. They return no arrays.
+allocating_kernel = _cached(_nrt=True, forceinline=False)
 # For the inner loops of a query: a call would copy the pools, several hundred words, onto the stack.
 inlined_kernel = _cached(_nrt=False, forceinline=True)
 # For code that only structures one large kernel: numba inserts it into its caller and does not compile it on its own.

@@ -20,7 +20,7 @@ from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import FACING
 from fracture_collision.core.mesh.surface_elements import ElementTable
 from fracture_collision.core.pair.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
-from fracture_collision.core.pair.pair_search import Geometry, Slot, look_ahead, search_pair
+from fracture_collision.core.pair.pair_search import Geometry, Slot, look_ahead, patch_pair, search_pair
 from fracture_collision.core.search.depth_limits import depth_limit_of_pair
 from fracture_collision.core.search.kept_answer import (
     NOTHING_KEPT,
@@ -142,12 +142,14 @@ def _query_share(geometry, step, motion, rule, work, out, own, part):
         slot = Slot(lists, slots[p], work.known[p], motion.time > 0.0)
         sink = Sink(own.sink.contacts[used:], own.sink.ids[used:])
         limits = VisitLimits(work.shares[p], work.further[p])
-        found = search_pair(geometry, pair, its, limits, slot, sink, scratch)
-        if 0 < found.count <= room - used and pools.normals == FACING:
-            turn_contacts(pools, pair, its.near, sink, found.count, scratch)
-        if motion.time > 0.0:
-            moving = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
-            found, out.is_ahead[p] = look_ahead(geometry, pair, moving, its, found, slot, sink, scratch)
+        moving = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
+        is_patch, found, out.is_ahead[p] = patch_pair(geometry, pair, moving, its, slot, sink, scratch)
+        if not is_patch:
+            found = search_pair(geometry, pair, its, limits, slot, sink, scratch)
+            if 0 < found.count <= room - used and pools.normals == FACING:
+                turn_contacts(pools, pair, its.near, sink, found.count, scratch)
+            if motion.time > 0.0:
+                found, out.is_ahead[p] = look_ahead(geometry, pair, moving, its, found, slot, sink, scratch)
         out.begin[p], out.counts[p] = used, found.count
         out.bounds[p], out.visits[p], out.exhausted[p] = found.bound, found.visits, found.exhausted
         if found.count > room - used:

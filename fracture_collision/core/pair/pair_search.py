@@ -5,10 +5,11 @@ Which of them is used never changes the contacts, only the work.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from fracture_collision.core.contacts.contact_choice import Rule
-from fracture_collision.core.contacts.known_samples import rounding_slack
+from fracture_collision.core.contacts.known_samples import rounding_slack, share_a_body
 from fracture_collision.core.edges.ridge_contacts import least_apart
 from fracture_collision.core.edges.ridges import Ridges
 from fracture_collision.core.lookahead.first_touch import first_touch
@@ -17,9 +18,12 @@ from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hu
 from fracture_collision.core.memory.compiled import spliced_kernel
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.pair.crowds import UNSHARED
+from fracture_collision.core.patches.pair_contacts import Wanted, put_patch
+from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes, have_patches
 from fracture_collision.core.search.neighbour_lists import (
     FAST,
     FULL,
+    IN_PLACE,
     MOST_LISTED,
     MOST_RIDGES,
     NOT_LISTED,
@@ -41,6 +45,7 @@ class Geometry(NamedTuple):
 
     pools: Pools
     edges: Ridges  # of all rows; NO_RIDGES where crossings are not searched
+    shapes: Shapes = NO_SHAPES  # of all rows; NO_SHAPES where no contacts are patches
 
 
 class Slot(NamedTuple):
@@ -60,6 +65,26 @@ class Found(NamedTuple):
     visits: int
     exhausted: int  # COMPLETE, BY_LIMIT or BY_FURTHER
     clear: float  # [m] lower bound of the distance in excess of the detection tolerance, 0: unknown
+
+
+@spliced_kernel
+def patch_pair(geometry, pair, moving, rule, slot, sink, scratch):
+    """(whether the contacts of a Pair are patches; their Found; whether they depend on the motion of the Moving)."""
+    if not have_patches(geometry.shapes, pair.a, pair.b):
+        return False, Found(0, 0.0, 0, COMPLETE, 0.0), False
+    moved, remembered = math.inf, scratch.toward
+    if share_a_body(geometry.pools, pair.a, pair.b):
+        moved = displacement(geometry.pools, pair, IN_PLACE)
+    if slot.row >= 0:
+        remembered = slot.lists.toward[slot.row]
+        slot.lists.counts[slot.row] = NOT_LISTED
+        keep_pose(pair.rotation, pair.translation, slot.lists.poses[slot.row])
+    else:
+        remembered[0] = 0.0
+    wanted = Wanted(rule.near, moved, min(rule.wanted, rule.limit))
+    count, bound, is_ahead = put_patch(geometry.shapes, pair, moving, wanted, remembered, sink)
+    ended = BY_LIMIT if count == rule.limit < rule.wanted else COMPLETE
+    return True, Found(count, bound, 0, ended, 0.0), is_ahead
 
 
 @spliced_kernel

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from fracture_collision.geometry import concave_shapes, generators, sampled_bodies, stored_meshes
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.piggy_bank import piggy_bank
@@ -82,6 +84,12 @@ class Shape(NamedTuple):
     size: tuple[float, ...] = ()  # of a box, edge lengths [m]
     radius: float = 0.0  # of a sphere [m]
     mesh: TetGeometry | None = None  # of one of MESHES
+
+    def half_length(self) -> float:
+        """R [m], as the service has it: half the longest side of the box about the body; inf for a plane."""
+        if self.mesh is not None:
+            return 0.5 * float(np.ptp(self.mesh.vertices, axis=0).max())
+        return math.inf if self.kind == "plane" else max(0.5 * max(self.size, default=0.0), self.radius)
 
 
 def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | None = None) -> Shape:

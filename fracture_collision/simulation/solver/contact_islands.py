@@ -17,7 +17,7 @@ from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_face import Iterate
 from fracture_collision.simulation.solver.contact_rows import RECORD, TANGENT1, TANGENT2, Rows, Surfaces, fill_record
-from fracture_collision.simulation.solver.contact_step import drift_velocities, find_velocities
+from fracture_collision.simulation.solver.contact_step import Gaps, drift_velocities, find_velocities
 from fracture_collision.simulation.solver.small_matrices import invert_symmetric
 
 _grouped = cached_njit(grouping.grouped)
@@ -45,6 +45,8 @@ class Contacts(NamedTuple):
     friction: np.ndarray  # (p,)
     restitution: np.ndarray  # (p,)
     rolling_arm: np.ndarray  # (p,) [m]
+    sizes: np.ndarray  # (p,) R [m]
+    bounce_speeds: np.ndarray  # (p,) v_e [m/s]
     points: np.ndarray  # (N, 3) [m], midway between the witnesses
     normals: np.ndarray  # (N, 3)
     gaps: np.ndarray  # (N,) [m], negative inside
@@ -127,16 +129,14 @@ def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, 
             continue
         for k in range(members.size):
             local[members[k]] = k
-        rows, surfaces, restitution, gaps, against = _rows_of_island(
+        rows, surfaces, gaps, against = _rows_of_island(
             members, pairs, local, bodies, contacts, settings
         )
         impulses, rolling = _impulses_of_island(pairs, rows, contacts, result)
         before, u = np.zeros((2, members.size + 1, 6))
         for k in range(members.size):
             before[k], u[k] = bodies.velocities[members[k]], bodies.free_velocities[members[k]]
-        find_velocities(
-            rows, surfaces, gaps, restitution, before, Iterate(impulses, rolling, u), settings, time_step
-        )
+        find_velocities(rows, surfaces, gaps, before, Iterate(impulses, rolling, u), settings, time_step)
         for k in range(members.size):
             result.velocities[members[k]] = u[k]
         if not only_limited:
@@ -172,8 +172,8 @@ def _rows_of_island(members, pairs, local, bodies, contacts, settings):
     body_a, body_b = np.empty(pair_count, np.int64), np.empty(pair_count, np.int64)
     records, rolling_masses, sum_of_both = np.empty((count, RECORD)), np.zeros((pair_count, 3, 3)), np.empty((3, 3))
     friction, rolling_arm = contacts.friction[pairs], contacts.rolling_arm[pairs]
-    restitution, gaps, limits = np.empty(count), np.empty(count), np.empty(count)
-    against = np.zeros(count, np.bool_)
+    gaps = Gaps(np.empty(count), np.empty(count), np.empty(count), np.empty(count))
+    limits, against = np.empty(count), np.zeros(count, np.bool_)
     nowhere = np.zeros(3)
     for k in range(pair_count):
         pair = pairs[k]
@@ -195,18 +195,18 @@ def _rows_of_island(members, pairs, local, bodies, contacts, settings):
             fill_record(
                 records[c], contacts.points[source], contacts.normals[source], center_a, center_b, inverse_mass, ia, ib
             )
-            restitution[c] = contacts.restitution[pair]
-            gaps[c] = contacts.gaps[source] - contacts.rest_gaps[source]
+            gaps.beyond[c], gaps.sizes[c] = contacts.gaps[source] - contacts.rest_gaps[source], contacts.sizes[pair]
+            gaps.restitution[c], gaps.bounce_speeds[c] = contacts.restitution[pair], contacts.bounce_speeds[pair]
             limits[c] = contacts.impulse_limits[source]
         both_move = a < local.size and b < local.size
         _mark_against_parting(
             records[begin[k] : begin[k + 1]], contacts.gaps[first : contacts.begin[pair + 1]], both_move, center_a,
-            center_b, DEEP * settings.rest_gap, against[begin[k] : begin[k + 1]],
+            center_b, DEEP * settings.rest_gap * contacts.sizes[pair], against[begin[k] : begin[k + 1]],
         )  # fmt: skip
     rows = Rows(
         begin, body_a, body_b, masses, inertias, inverse_masses, inverse_inertias, records, rolling_masses
     )
-    return rows, Surfaces(friction, rolling_arm, limits), restitution, gaps, against
+    return rows, Surfaces(friction, rolling_arm, limits), gaps, against
 
 
 @uncounted

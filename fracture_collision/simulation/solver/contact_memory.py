@@ -65,12 +65,12 @@ NOTHING = ContactMemory(
 
 
 def with_remembered(
-    contacts: ContactConstraintArray, states: FragmentStates, memory: ContactMemory, reach: float
+    contacts: ContactConstraintArray, states: FragmentStates, memory: ContactMemory, reach: np.ndarray
 ) -> tuple[ContactConstraintArray, ContactMemory]:
     """The contacts, each pair's followed by its remembered ones, and the memory of both for the next step.
 
     `states` are those that `contacts` were computed for; a fragment missing there is static, its frame the world's.
-    `reach` is the distance [m] by which a remembered contact may open or slip.
+    `reach` (p,) is the distance [m] by which a remembered contact of each pair may open or slip.
     """
     order = np.argsort(states.fragment_ids, kind="stable")
     ids = states.fragment_ids[order]
@@ -138,7 +138,7 @@ def _merge(listed, frames, memory, reach):
                     apart = out_b[count, i] - out_a[count, i]
                     gap += apart * out_normals[count, i]
                     square += apart * apart
-                if gap > reach or square - gap * gap > reach * reach:
+                if gap > reach[pair] or square - gap * gap > reach[pair] * reach[pair]:
                     continue
                 if not _pushes_as_one_of(normals, begin[pair], begin[pair + 1], out_normals[count]):
                     continue

@@ -30,6 +30,8 @@ Symbols, for contact c between bodies a and b
   (5) |tau| <= rho sum(lambda) of the pair, opposing w_b - w_a                    rolling and spinning resistance
   (6) drift:  J_n (u + u_d) >= max(min(f d / h, v_max), min(d / h, -J_n u(t))) with d = -g - slop, where d > 0;
       elsewhere >= d / h
+  R           of a pair, half the longest side of the box about the smaller of its two bodies; fragments keep the R of
+              the body that they came from; planes are infinite [m]
 """
 
 from __future__ import annotations
@@ -39,14 +41,18 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.kernel_sources import cached_njit
-from fracture_collision.portable_math import dots, images
+from fracture_collision.portable_math import dots, images, lengths
 from fracture_collision.records import ContactConstraintArray, documented
 from fracture_collision.simulation.solver.contact_islands import Bodies, Contacts, Result, islands_of, solve_islands
 
 
 @documented
 class SolverSettings(NamedTuple):
-    """Parameters of the method; the scene file gives the reason for each value.
+    """Parameters of the method; plates.yaml gives the reason for each value.
+
+    Lengths are shares of R, as the service's tolerances are: bodies of any size rest where it looks for contacts, and
+    a scaled scene takes the same course. The service lists contacts up to a gap of detection_tolerance, 0.002 R. Bodies
+    rest in the middle of that, so that neither a step too far nor rounding loses their contacts.
 
     Fields:
       iterations: of (2), (3) and (5) at most; each visits every contact twice
@@ -54,14 +60,16 @@ class SolverSettings(NamedTuple):
       rounds: of these iterations at most; another follows where the step would still gain energy
       restitution_iterations: further ones with (4) at most
       drift_iterations: of (6) at most
-      restitution_speed: [m/s] v_e; slower impacts do not bounce
-      rest_gap: [m] distance at which bodies rest, see rest_gaps
-      rest_slop: [m] by which a gap may fall short of the rest gap without correction
+      restitution_height: [share of R] impacts slower than after a fall from this height, v_e, do not bounce
+      rest_gap: [share of R] distance at which bodies rest, see rest_gaps; less than the service's detection_tolerance
+      rest_slop: [share of R] by which a gap may fall short of the rest gap without correction
       drift_fraction: f, the share of a penetration taken out in one step
-      drift_speed: [m/s] v_max, limit of that correction
-      memory_reach: [m] remembered contacts are kept up to this gap, see contact_memory
-      ahead_gap: [m] contacts with larger gaps lie ahead: they hold bodies back and transmit no impulse, see touch_ahead
-      sleep_speed: [m/s] bodies fall asleep that moved, for sleep_time, no farther than this speed would take them, see
+      drift_speed: [R/s] v_max, limit of that correction
+      memory_reach: [share of R] remembered contacts are kept up to this gap, the service's
+        detection_tolerance, see contact_memory
+      ahead_gap: [share of R] contacts with larger gaps lie ahead: they hold bodies back and transmit no impulse, see
+        touch_ahead
+      sleep_speed: [R/s] bodies fall asleep that moved, for sleep_time, no farther than this speed would take them, see
         sleep
       sleep_time: [s] likewise; 0: no sleeping
     """
@@ -71,14 +79,14 @@ class SolverSettings(NamedTuple):
     rounds: int = 5
     restitution_iterations: int = 8
     drift_iterations: int = 8
-    restitution_speed: float = 0.2
-    rest_gap: float = 1.0e-4
-    rest_slop: float = 8.0e-5
+    restitution_height: float = 0.02
+    rest_gap: float = 0.001
+    rest_slop: float = 0.0008
     drift_fraction: float = 0.2
-    drift_speed: float = 0.3
-    memory_reach: float = 2.5e-4
-    ahead_gap: float = 5.0e-4
-    sleep_speed: float = 1.0e-3
+    drift_speed: float = 3.0
+    memory_reach: float = 0.002
+    ahead_gap: float = 0.005
+    sleep_speed: float = 0.01
     sleep_time: float = 0.25
 
 
@@ -98,6 +106,8 @@ class BodyPairs(NamedTuple):
     body_a: np.ndarray  # (p,) int64
     body_b: np.ndarray  # (p,) int64
     rolling_arm: np.ndarray  # (p,) rho [m]
+    sizes: np.ndarray  # (p,) R [m]
+    bounce_speeds: np.ndarray  # (p,) v_e [m/s]
     rest_gaps: np.ndarray  # (N,) [m] of each contact: the zero of g
 
 
@@ -157,6 +167,7 @@ def solve_contacts(
     )
     listed = Contacts(
         begin, pairs.body_a, pairs.body_b, contacts.friction, contacts.restitution, pairs.rolling_arm,
+        pairs.sizes, pairs.bounce_speeds,
         0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3), contacts.normals.reshape(-1, 3), contacts.gaps,
         pairs.rest_gaps, np.full(count, np.inf) if caps is None else caps.impulse_limits,
     )  # fmt: skip
@@ -173,6 +184,14 @@ def solve_contacts(
     solve_islands(islands, Bodies(*bodies), listed, settings, time_step, caps is not None, asleep, result)
     carried = WarmStart(contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, impulses, rolling)
     return Solution(result.velocities, result.drift, result.normal_impulses, carried)
+
+
+def bounce_speeds(settings: SolverSettings, sizes: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+    """v_e (p,) [m/s] of pairs of R `sizes` (p,) [m]: at the end of a fall from `restitution_height`.
+
+    gravity (3,) [m/s2]. Without it nothing rests on anything, and all impacts bounce.
+    """
+    return np.sqrt(2.0 * float(lengths(gravity)) * settings.restitution_height * sizes)
 
 
 @cached_njit

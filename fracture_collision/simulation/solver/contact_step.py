@@ -5,6 +5,8 @@ Symbols and equation numbers are those of `contact_solver`.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fracture_collision.kernel_sources import cached_njit
@@ -19,13 +21,22 @@ ROUNDING = 1.0e-7
 SHARPER = 0.1
 
 
+class Gaps(NamedTuple):
+    """Of N contacts: what decides how their bodies close up, bounce and are pushed apart."""
+
+    beyond: np.ndarray  # (N,) g [m]
+    sizes: np.ndarray  # (N,) R [m]
+    restitution: np.ndarray  # (N,)
+    bounce_speeds: np.ndarray  # (N,) v_e [m/s]
+
+
 @cached_njit
-def find_velocities(rows, surfaces, gaps, restitution, before, iterate, settings, time_step):
+def find_velocities(rows, surfaces, gaps, before, iterate, settings, time_step):
     """Solve (1)-(5): the Iterate has u* and a first guess of the impulses, and gets u(t + h) and the impulses.
 
-    gaps, restitution (N,); before: u(t).
+    gaps: Gaps; before: u(t).
     """
-    targets = -np.maximum(gaps, 0.0) / time_step
+    targets = -np.maximum(gaps.beyond, 0.0) / time_step
     impulses, rolling, u = iterate
     free = u.copy()
     apply_warm_start(rows, targets, iterate)
@@ -37,12 +48,12 @@ def find_velocities(rows, surfaces, gaps, restitution, before, iterate, settings
             break
         accuracy *= SHARPER
 
-    approach = np.empty(gaps.size)
+    approach, restitution = np.empty(len(impulses)), gaps.restitution
     normal_velocities(rows, before, approach)
     bounces = False
-    for c in range(gaps.size):
+    for c in range(approach.size):
         if (
-            approach[c] < -settings.restitution_speed
+            approach[c] < -gaps.bounce_speeds[c]
             and impulses[c, 0] > 0.0
             and restitution[c] > 0.0
             and surfaces.impulse_limits[c] == np.inf
@@ -62,18 +73,19 @@ def find_velocities(rows, surfaces, gaps, restitution, before, iterate, settings
 def drift_velocities(rows, gaps, before, after, against, settings, time_step):
     """u_d by (6), with u(t) and u(t + h); contacts in `against` are left out."""
     u = np.zeros_like(before)
-    slop = settings.rest_slop
-    if gaps.min() >= -slop:
+    depths = -gaps.beyond - settings.rest_slop * gaps.sizes
+    if depths.max() <= 0.0:
         return u
-    approach, targets = np.empty(gaps.size), np.empty(gaps.size)
+    count = depths.size
+    approach, targets = np.empty(count), np.empty(count)
     normal_velocities(rows, before, approach)
     normal_velocities(rows, after, targets)
-    limits = np.full(gaps.size, np.inf)
-    for c in range(gaps.size):
-        depth = -gaps[c] - slop
+    limits = np.full(count, np.inf)
+    for c in range(count):
+        depth = depths[c]
         # The new velocities count towards the correction; a gap that is not too small may still close up to the slop.
         if depth > 0.0:
-            push = min(settings.drift_fraction * depth / time_step, settings.drift_speed)
+            push = min(settings.drift_fraction * depth / time_step, settings.drift_speed * gaps.sizes[c])
             # Penetration of the last step is removed in the next: when a plate breaks, the ball is at its surface.
             targets[c] = max(push, min(depth / time_step, -approach[c])) - targets[c]
         else:
@@ -81,7 +93,7 @@ def drift_velocities(rows, gaps, before, after, against, settings, time_step):
         if against[c]:
             limits[c] = 0.0
     still = np.zeros(rows.body_a.size)
-    iterate = Iterate(np.zeros((gaps.size, 3)), np.zeros((rows.body_a.size, 3)), u)
+    iterate = Iterate(np.zeros((count, 3)), np.zeros((rows.body_a.size, 3)), u)
     smooth, nothing = Surfaces(still, still, limits), np.zeros_like(u)
     sweep(rows, smooth, targets, nothing, iterate, settings.drift_iterations, settings.accuracy)
     return u

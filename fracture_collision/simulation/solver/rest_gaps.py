@@ -17,12 +17,14 @@ from fracture_collision.simulation.solver.contact_memory import ContactMemory
 IN_PLACE = 2.5
 
 
-def rest_gaps_of(memory: ContactMemory, one_body: np.ndarray, rest_gap: float) -> np.ndarray:
-    """(N,) [m] rest gap of each contact in `memory`: `rest_gap`, or 0 between fragments in place.
+def rest_gaps_of(memory: ContactMemory, one_body: np.ndarray, rest_gap: np.ndarray) -> np.ndarray:
+    """(N,) [m] rest gap of each contact in `memory`: its pair's `rest_gap` (p,), or 0 between fragments in place.
 
     `one_body` (p,) bool: pairs of fragments of one body; their body frames coincided when they broke.
     """
     moved = memory.points_a - memory.points_b
-    reach = IN_PLACE * rest_gap
+    counts: np.ndarray = np.diff(memory.pair_begin)
+    gaps = np.repeat(rest_gap, counts)
+    reach = IN_PLACE * gaps
     in_place = dots(moved, moved) < reach * reach
-    return np.where(np.repeat(one_body, np.diff(memory.pair_begin)) & in_place, 0.0, rest_gap)
+    return np.where(np.repeat(one_body, counts) & in_place, 0.0, gaps)

@@ -15,8 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.kernel_sources import cached_njit
+from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.solver.contact_islands import islands_of
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
+
+# Share of gravity: a body that it accelerates by more than this for `sleep_time` is not at rest. A large one that
+# begins to topple takes seconds to move by a visible share of its size.
+FALL = 1.0e-3
 
 
 class Rest(NamedTuple):
@@ -84,11 +89,23 @@ def _settle(bodies, body_begin, was_asleep, sleep_time, quiet, asleep):
                 quiet[k] = 0.0
 
 
+def farthest_at_rest(settings: SolverSettings, sizes: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+    """(n,) [m] as far as bodies of R `sizes` (n,) [m] may move within `sleep_time` under `gravity` (3,) [m/s2]."""
+    farthest = settings.sleep_speed * settings.sleep_time * sizes
+    strength = float(lengths(gravity))
+    if strength > 0.0:
+        fall = 0.5 * strength * settings.sleep_time * settings.sleep_time
+        farthest = np.minimum(farthest, FALL * fall)
+    return farthest
+
+
 def after_step(
-    rest: Rest, masses: np.ndarray, inertias: np.ndarray, moves: np.ndarray, settings: SolverSettings, time_step: float
+    rest: Rest, masses: np.ndarray, inertias: np.ndarray, moves: np.ndarray, farthest: np.ndarray, time_step: float
 ) -> Rest:
-    """Rest after a step that moved the poses with velocities `moves` (n, 6) [m/s, rad/s], drift correction included."""
-    farthest = settings.sleep_speed * settings.sleep_time
+    """Rest after a step that moved the poses with velocities `moves` (n, 6) [m/s, rad/s], drift correction included.
+
+    farthest (n,) [m]: as far as a body may move that is to fall asleep.
+    """
     quiet, gone = _stay(rest.quiet, rest.gone, masses, inertias, moves, farthest, time_step)
     return rest._replace(quiet=quiet, gone=gone)
 
@@ -103,7 +120,7 @@ def _stay(quiet, gone, masses, inertias, moves, farthest, time_step):
             square += masses[i] * way[i, k] * way[i, k]
             for l in range(3):  # noqa: E741
                 square += way[i, 3 + k] * inertias[i, k, l] * way[i, 3 + l]
-        if square < masses[i] * farthest * farthest:
+        if square < masses[i] * farthest[i] * farthest[i]:
             after[i] = quiet[i] + time_step
         else:
             way[i] = 0.0

@@ -50,6 +50,14 @@ class TouchesAhead(NamedTuple):
     points_a: np.ndarray  # (N, 3) [m] present positions, world
     points_b: np.ndarray  # (N, 3)
     normals: np.ndarray  # (N, 3) from a to b, at the touch
+    sizes: np.ndarray  # (N,) R [m]
+
+
+class Forms(NamedTuple):
+    """Of n bodies; the last of each is for what cannot move."""
+
+    is_round: np.ndarray  # (n + 1,) bool: spheres; the last, False
+    sizes: np.ndarray  # (n + 1,) R [m] of the bodies that they came from; the last, inf
 
 
 class StepContacts(NamedTuple):
@@ -80,13 +88,16 @@ class HeldBack(NamedTuple):
 
 
 def split_by_gap(
-    contacts: ContactConstraintArray, most: float
+    contacts: ContactConstraintArray, sizes: np.ndarray, most: float
 ) -> tuple[ContactConstraintArray, TouchesAhead | None]:
-    """The contacts with gaps of at most `most` [m], with their pairs, and the contacts ahead, None without any."""
-    is_ahead = contacts.gaps > most
+    """The contacts with gaps of at most `most` R, with their pairs, and the contacts ahead, None without any.
+
+    sizes (p,): R [m] of the pairs.
+    """
+    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
+    is_ahead = contacts.gaps > most * np.repeat(sizes, counts)
     if not is_ahead.any():
         return contacts, None
-    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
     pair = np.repeat(np.arange(len(counts)), counts)
     left = np.bincount(pair[~is_ahead], minlength=len(counts))
     # A pair listed without contacts stays, for its missed_depth_bound.
@@ -100,14 +111,15 @@ def split_by_gap(
         normals=contacts.normals[rows], gaps=contacts.gaps[~is_ahead], contact_ids=contacts.contact_ids[~is_ahead],
     )  # fmt: skip
     ahead = pair[is_ahead]
+    columns = (contacts.points_a, contacts.points_b, contacts.normals)
+    points_a, points_b, normals = (column.reshape(-1, 3)[is_ahead] for column in columns)
     return now, TouchesAhead(
-        contacts.fragment_a[ahead], contacts.fragment_b[ahead],
-        *(column.reshape(-1, 3)[is_ahead] for column in (contacts.points_a, contacts.points_b, contacts.normals)),
-    )  # fmt: skip
+        contacts.fragment_a[ahead], contacts.fragment_b[ahead], points_a, points_b, normals, sizes[ahead]
+    )
 
 
 def held_back(
-    states: BodyStates, contacts: StepContacts, searched: np.ndarray | None, is_round: np.ndarray, solution: Solution,
+    states: BodyStates, contacts: StepContacts, searched: np.ndarray | None, forms: Forms, solution: Solution,
     gravity: np.ndarray, settings: SolverSettings, time_step: float,
 ) -> HeldBack:  # fmt: skip
     """Velocities and drift (n, 6) that move bodies no farther than to where they touch.
@@ -116,27 +128,32 @@ def held_back(
     would gain energy without a loss of height. From a body in contact no more than its falling speed is subtracted:
     contacts already bear the weight of a resting body.
 
-    searched (n, 6): the velocities that the service looked ahead with; None: it does not look ahead. is_round (n + 1,):
-    spheres; the last, False, for what cannot move.
+    searched (n, 6): the velocities that the service looked ahead with; None: it does not look ahead.
     """
     (now, pairs, ahead), velocities, drift = contacts, solution.velocities, solution.drift
+    is_round = forms.is_round
     count = len(states.fragment_ids)
     moves, shares = velocities + drift, np.ones(count)
     if searched is None:
         goes_round = _turns_far(pairs, velocities, time_step)
     else:
-        boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap
+        boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap * forms.sizes[:-1]
         spare = np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
         reach = np.where(is_round[:-1], 0.0, boxes.reach())  # turning does not move a sphere's surface
-        goes_round = _goes_astray(pairs, velocities, reach, settings.ahead_gap, time_step)
-        shares = _shares_as_searched(pairs, searched, moves, reach, spare, time_step)
+        near = settings.ahead_gap * pairs.sizes
+        goes_round = _goes_astray(pairs, velocities, reach, near, time_step)
+        of_bodies = np.append(spare, np.inf)
+        spare_of_pairs = np.minimum(of_bodies[pairs.body_a], of_bodies[pairs.body_b])
+        # What cannot move may be smaller than what touches it.
+        spare_of_pairs = np.minimum(spare_of_pairs, MOST_SPARE * near)
+        shares = _shares_as_searched(pairs, searched, moves, reach, spare_of_pairs, time_step)
     touching = _touching(now, pairs, goes_round, settings, DEEPER if searched is not None else 1.0)
     if ahead is None and touching is None and searched is None:
         return HeldBack(velocities, drift, shares)
     parts = [] if touching is None else [touching]
     if ahead is not None:
         a, b = (rows_of(fragments, states.fragment_ids) for fragments in (ahead.fragment_a, ahead.fragment_b))
-        least_gaps = np.full(len(a), settings.rest_gap)
+        least_gaps = settings.rest_gap * ahead.sizes
         parts.append(Touches(a, b, ahead.points_a, ahead.points_b, ahead.normals, least_gaps))
     motion = Motion(states.centers, moves, time_step)
     if parts:
@@ -162,14 +179,12 @@ def _shares_as_searched(
 ) -> np.ndarray:
     """(n,) share of the step for which each body may move along another path than the searched one.
 
-    No point of two touching bodies deviates from its path at the velocities `searched` by more than `spare` (n,) [m] of
-    either.
+    No point of two touching bodies deviates from its path at the velocities `searched` by more than the pair's `spare`
+    (p,) [m].
     """
     change = moves - searched
     astray = np.append(time_step * (lengths(change[:, :3]) + reach * lengths(change[:, 3:])), 0.0)
-    most, spare = astray[pairs.body_a] + astray[pairs.body_b], np.append(spare, np.inf)
-    least = np.minimum(spare[pairs.body_a], spare[pairs.body_b])
-    share = least / np.maximum(most, least)
+    share = spare / np.maximum(astray[pairs.body_a] + astray[pairs.body_b], spare)
     shares = np.ones(len(searched) + 1)
     np.minimum.at(shares, pairs.body_a, share)
     np.minimum.at(shares, pairs.body_b, share)
@@ -183,9 +198,9 @@ def _turns_far(pairs: BodyPairs, velocities: np.ndarray, time_step: float) -> np
 
 
 def _goes_astray(
-    pairs: BodyPairs, velocities: np.ndarray, reach: np.ndarray, most: float, time_step: float
+    pairs: BodyPairs, velocities: np.ndarray, reach: np.ndarray, most: np.ndarray, time_step: float
 ) -> np.ndarray:
-    """(p,) pairs in which turning or sliding may carry a point more than `most` [m] off its present straight path."""
+    """(p,) pairs in which turning or sliding may carry a point more than `most` (p,) [m] off its straight path."""
     v = np.vstack((velocities, np.zeros(6)))
     turns = time_step * lengths(v[:, 3:])
     turning = turns * np.append(reach, 0.0)
@@ -204,11 +219,14 @@ def _touching(
     if not chosen.any():
         return None
     repeat: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
-    body_a, body_b, chosen = (np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, chosen))
+    body_a, body_b, sizes, chosen = (
+        np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, pairs.sizes, chosen)
+    )
     columns = (contacts.points_a, contacts.points_b, contacts.normals)
     points_a, points_b, normals = (column.reshape(-1, 3)[chosen] for column in columns)
-    gaps = np.minimum(contacts.gaps[chosen], settings.rest_gap)
-    most = np.maximum(settings.ahead_gap + (gaps - settings.rest_gap), deeper * settings.ahead_gap)
+    rest_gap, ahead_gap = settings.rest_gap * sizes[chosen], settings.ahead_gap * sizes[chosen]
+    gaps = np.minimum(contacts.gaps[chosen], rest_gap)
+    most = np.maximum(ahead_gap + (gaps - rest_gap), deeper * ahead_gap)
     return Touches(body_a[chosen], body_b[chosen], points_a, points_b, normals, gaps - most)
 
 

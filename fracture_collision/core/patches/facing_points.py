@@ -1,0 +1,347 @@
+"""Where the surfaces of two fragments face each other along a direction, and how far apart they are there.
+
+Seen along n, from a to b, a face of a towards n and a face of b against it overlap in a polygon, on which their
+distance along n is linear: it is least at the polygon's corners. These are corners of b over faces of a, corners of a
+under faces of b, and crossings of edges. Edges and corners within flat or concave parts are nowhere outermost. So the
+points found here contain the least distance of the two surfaces along n whatever their meshes, and moving b by minus
+the least along n makes them disjoint. Surfaces that are nowhere over each other have no point.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+
+# Faces at less than 3 degrees from along n have no distance along it; edges need only one side that faces, by a sine.
+FACING, EDGE_FACING = 0.05, 0.02
+# Edges that look nearly parallel, by the sine, do not cross: the corners at their ends do.
+LEAST_CROSSING = 1e-4
+# Points on a rim belong to both sides, up to this share of the smaller fragment's size.
+ON_RIM = 1e-9
+# Kinds of points.
+OF_B, OF_A, CROSSING = 0, 1, 2
+_CELLS_EACH = 1.0  # cells of the grid for each feature in it
+_MOST_CELLS = 64  # along each side
+
+
+class Posed(NamedTuple):
+    """A Surface in the frame of the query."""
+
+    corners: np.ndarray  # (c, 3) float64 [m]
+    triangles: np.ndarray  # (t, 3) int32
+    normals: np.ndarray  # (t, 3) float64
+    edges: np.ndarray  # (e, 2) int32
+    beside: np.ndarray  # (e, 2) int32
+    is_sharp: np.ndarray  # (c,) bool
+
+
+class FacingPoints(NamedTuple):
+    """Points in no particular order; where several features meet, there are several."""
+
+    points: np.ndarray  # (k, 3) float64 [m] on a
+    gaps: np.ndarray  # (k,) float64 [m] from there to b along n
+    features: np.ndarray  # (k, 3) int64: kind; row of the corner, or of a's edge and of b's
+
+
+class _Seen(NamedTuple):
+    """What of one fragment is over the other, and near enough; along n: columns u, v and height."""
+
+    places: np.ndarray  # (c, 3) float64 [m] of all corners
+    faces: np.ndarray  # (f,) int64 rows of triangles
+    corners: np.ndarray  # (m,) int64
+    edges: np.ndarray  # (e,) int64
+
+
+class _View(NamedTuple):
+    """What of both is looked at."""
+
+    window: np.ndarray  # (6,) [m] of both: least and most along u, along v; then the lowest of b, the highest of a
+    limit: float  # [m] of gaps
+    rim: float  # [m] see ON_RIM
+
+
+class _Grid(NamedTuple):
+    """Features by the cells that their boxes seen along n touch."""
+
+    low: tuple[float, float]
+    per_cell: tuple[float, float]  # [1/m]
+    cells: tuple[int, int]
+    begin: np.ndarray  # (cells + 1,) int64
+    entries: np.ndarray  # int64 number of the feature in its list
+
+
+@kernel
+def facing_points(a, b, n, limit, size):
+    """The FacingPoints of two Posed surfaces along a unit vector n, whose gap is no more than `limit` [m].
+
+    size [m]: of the smaller fragment.
+    """
+    axes = _axes(n)
+    of_a, of_b = _seen_along(a.corners, axes), _seen_along(b.corners, axes)
+    view = _View(np.empty(6), limit, ON_RIM * size)
+    window, _, rim = view
+    for d in range(2):
+        window[2 * d] = max(of_a[:, d].min(), of_b[:, d].min()) - rim
+        window[2 * d + 1] = min(of_a[:, d].max(), of_b[:, d].max()) + rim
+    window[4], window[5] = of_b[:, 2].min(), of_a[:, 2].max()
+    room = 64
+    points, gaps, features, count = np.empty((room, 3)), np.empty(room), np.empty((room, 3), np.int64), 0
+    found = FacingPoints(points, gaps, features)
+    if window[0] > window[1] or window[2] > window[3]:
+        return FacingPoints(points[:0], gaps[:0], features[:0])
+    seen_a, seen_b = _near(a, of_a, n, 1.0, view), _near(b, of_b, n, -1.0, view)
+    found, count = _corners_over(seen_b, seen_a, a.triangles, OF_B, view, found, count)
+    found, count = _corners_over(seen_a, seen_b, b.triangles, OF_A, view, found, count)
+    found, count = _crossings(seen_a, a.edges, seen_b, b.edges, view, found, count)
+    points, gaps, features = found
+    for k in range(count):
+        u, v, h = points[k, 0], points[k, 1], points[k, 2]
+        for d in range(3):
+            points[k, d] = u * axes[0, d] + v * axes[1, d] + h * axes[2, d]
+    return FacingPoints(points[:count].copy(), gaps[:count].copy(), features[:count].copy())
+
+
+@kernel
+def _axes(n):
+    """Rows: two unit vectors across n, and n."""
+    axes, least = np.zeros((3, 3)), 0
+    for d in range(1, 3):
+        if abs(n[d]) < abs(n[least]):
+            least = d
+    i, j = (least + 1) % 3, (least + 2) % 3
+    length = math.sqrt(n[i] * n[i] + n[j] * n[j])
+    axes[0, i], axes[0, j] = n[j] / length, -n[i] / length
+    for d in range(3):
+        axes[2, d] = n[d]
+    for d in range(3):
+        p, q = (d + 1) % 3, (d + 2) % 3
+        axes[1, d] = n[p] * axes[0, q] - n[q] * axes[0, p]
+    return axes
+
+
+@kernel
+def _seen_along(corners, axes):
+    seen = np.empty((len(corners), 3))
+    for k in range(len(corners)):
+        for d in range(3):
+            seen[k, d] = corners[k, 0] * axes[d, 0] + corners[k, 1] * axes[d, 1] + corners[k, 2] * axes[d, 2]
+    return seen
+
+
+@kernel
+def _near(posed, places, n, sign, view):
+    """The _Seen of a fragment; sign: 1 for a, whose faces point along n, -1 for b.
+
+    A feature of a can be within `limit` of b only if it is no more than that below the lowest of b, and conversely.
+    """
+    triangles, normals = posed.triangles, posed.normals
+    window, limit, _ = view
+    faces, faces_used = np.empty(len(triangles), np.int64), 0
+    towards, touches = np.empty(len(triangles)), np.zeros(len(places), np.bool_)
+    least = sign * window[4 if sign > 0.0 else 5] - limit
+    for t in range(len(triangles)):
+        towards[t] = sign * (normals[t, 0] * n[0] + normals[t, 1] * n[1] + normals[t, 2] * n[2])
+        if towards[t] <= FACING:
+            continue
+        p, q, r = places[triangles[t, 0]], places[triangles[t, 1]], places[triangles[t, 2]]
+        if max(sign * p[2], sign * q[2], sign * r[2]) < least:
+            continue
+        if max(p[0], q[0], r[0]) < window[0] or min(p[0], q[0], r[0]) > window[1]:
+            continue
+        if max(p[1], q[1], r[1]) < window[2] or min(p[1], q[1], r[1]) > window[3]:
+            continue
+        faces[faces_used] = t
+        faces_used += 1
+        for k in range(3):
+            touches[triangles[t, k]] = True
+    corners, corners_used = np.empty(len(places), np.int64), 0
+    for k in range(len(places)):
+        p = places[k]
+        if touches[k] and posed.is_sharp[k] and sign * p[2] >= least and _holds(window, p[0], p[1]):
+            corners[corners_used] = k
+            corners_used += 1
+    edges, edges_used = np.empty(len(posed.edges), np.int64), 0
+    for e in range(len(posed.edges)):
+        if max(towards[posed.beside[e, 0]], towards[posed.beside[e, 1]]) <= EDGE_FACING:
+            continue
+        p, q = places[posed.edges[e, 0]], places[posed.edges[e, 1]]
+        if max(sign * p[2], sign * q[2]) < least:
+            continue
+        if max(p[0], q[0]) < window[0] or min(p[0], q[0]) > window[1]:
+            continue
+        if max(p[1], q[1]) < window[2] or min(p[1], q[1]) > window[3]:
+            continue
+        edges[edges_used] = e
+        edges_used += 1
+    return _Seen(places, faces[:faces_used], corners[:corners_used], edges[:edges_used])
+
+
+@inlined_kernel
+def _holds(window, u, v):
+    return window[0] <= u <= window[1] and window[2] <= v <= window[3]
+
+
+@inlined_kernel
+def _box(places, rows, k, corners, rim, box):
+    """The box (4,) seen along n of feature `k` of `rows`: of its first `corners` corners, wider by `rim`."""
+    box[0] = box[2] = math.inf
+    box[1] = box[3] = -math.inf
+    for i in range(corners):
+        p = places[rows[k, i]]
+        box[0], box[1] = min(box[0], p[0] - rim), max(box[1], p[0] + rim)
+        box[2], box[3] = min(box[2], p[1] - rim), max(box[3], p[1] + rim)
+
+
+@kernel
+def _grid_of(places, rows, chosen, corners, window, rim):
+    """The _Grid of features `chosen` (k,) of `rows`, which have so many corners each."""
+    wide, high = window[1] - window[0], window[3] - window[2]
+    along = math.sqrt(max(_CELLS_EACH * len(chosen), 1.0))
+    nu = min(max(int(along * math.sqrt(wide / high)), 1), _MOST_CELLS) if high > 0.0 and wide > 0.0 else 1
+    nv = min(max(int(along * math.sqrt(high / wide)), 1), _MOST_CELLS) if high > 0.0 and wide > 0.0 else 1
+    per_cell = (nu / wide if wide > 0.0 else 0.0), (nv / high if high > 0.0 else 0.0)
+    grid = _Grid((window[0], window[2]), per_cell, (nu, nv), np.zeros(nu * nv + 1, np.int64), np.empty(0, np.int64))
+    box = np.empty(4)
+    for turn in range(2):
+        if turn == 1:
+            total = 0
+            for c in range(nu * nv + 1):
+                total, grid.begin[c] = total + grid.begin[c], total
+            entries = np.empty(total, np.int64)
+        for k in range(len(chosen)):
+            _box(places, rows, chosen[k], corners, rim, box)
+            i0, i1, j0, j1 = _cells_of(grid, box)
+            for i in range(i0, i1 + 1):
+                for j in range(j0, j1 + 1):
+                    if turn == 1:
+                        entries[grid.begin[i * nv + j]] = k
+                    grid.begin[i * nv + j] += 1
+    for c in range(nu * nv, 0, -1):
+        grid.begin[c] = grid.begin[c - 1]
+    grid.begin[0] = 0
+    return _Grid(grid.low, grid.per_cell, grid.cells, grid.begin, entries)
+
+
+@inlined_kernel
+def _cells_of(grid, box):
+    i0, i1 = _cell(grid, 0, box[0]), _cell(grid, 0, box[1])
+    return i0, i1, _cell(grid, 1, box[2]), _cell(grid, 1, box[3])
+
+
+@inlined_kernel
+def _cell(grid, d, x):
+    return min(max(int((x - grid.low[d]) * grid.per_cell[d]), 0), grid.cells[d] - 1)
+
+
+@kernel
+def _corners_over(of, over, triangles, kind, view, found, count):
+    """Add the corners of one _Seen, of a `kind`, that are over faces of the other; returns as _add."""
+    window, limit, rim = view
+    sign = 1.0 if kind == OF_B else -1.0
+    if len(of.corners) == 0 or len(over.faces) == 0:
+        return found, count
+    grid = _grid_of(over.places, triangles, over.faces, 3, window, rim)
+    for k in range(len(of.corners)):
+        p = of.places[of.corners[k]]
+        c = _cell(grid, 0, p[0]) * grid.cells[1] + _cell(grid, 1, p[1])
+        for entry in range(grid.begin[c], grid.begin[c + 1]):
+            t = triangles[over.faces[grid.entries[entry]]]
+            is_over, height = _height_at(over.places[t[0]], over.places[t[1]], over.places[t[2]], p, rim)
+            if not is_over:
+                continue
+            gap = sign * (p[2] - height)
+            if gap <= limit:
+                on_a = height if kind == OF_B else p[2]
+                found, count = _add(found, count, (p[0], p[1], on_a, gap), (kind, of.corners[k], 0))
+    return found, count
+
+
+@inlined_kernel
+def _length(u, v):
+    return math.sqrt(u * u + v * v)
+
+
+@inlined_kernel
+def _height_at(a, b, c, p, rim):
+    """(whether p is over the triangle a, b, c, or beyond a side by no more than `rim`; the triangle's height there)."""
+    ub, vb, uc, vc = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+    area = ub * vc - uc * vb
+    if area == 0.0:
+        return False, 0.0
+    size = abs(area)
+    pu, pv = p[0] - a[0], p[1] - a[1]
+    of_b, of_c = (pu * vc - uc * pv) / area, (ub * pv - pu * vb) / area
+    of_a = 1.0 - of_b - of_c
+    if of_b * size < -rim * _length(uc, vc) or of_c * size < -rim * _length(ub, vb):
+        return False, 0.0
+    if of_a * size < -rim * _length(b[0] - c[0], b[1] - c[1]):
+        return False, 0.0
+    of_b, of_c = min(max(of_b, 0.0), 1.0), min(max(of_c, 0.0), 1.0)
+    height = a[2] + of_b * (b[2] - a[2]) + of_c * (c[2] - a[2])
+    return True, min(max(height, min(a[2], b[2], c[2])), max(a[2], b[2], c[2]))
+
+
+@kernel
+def _crossings(of_a, edges_a, of_b, edges_b, view, found, count):
+    """Add the crossings of edges of both; returns as _add."""
+    window, limit, rim = view
+    if len(of_a.edges) == 0 or len(of_b.edges) == 0:
+        return found, count
+    grid = _grid_of(of_b.places, edges_b, of_b.edges, 2, window, rim)
+    box, other = np.empty(4), np.empty(4)
+    for k in range(len(of_a.edges)):
+        i = of_a.edges[k]
+        p, q = of_a.places[edges_a[i, 0]], of_a.places[edges_a[i, 1]]
+        _box(of_a.places, edges_a, i, 2, rim, box)
+        u0, u1, v0, v1 = _cells_of(grid, box)
+        for cu in range(u0, u1 + 1):
+            for cv in range(v0, v1 + 1):
+                c = cu * grid.cells[1] + cv
+                for entry in range(grid.begin[c], grid.begin[c + 1]):
+                    j = of_b.edges[grid.entries[entry]]
+                    _box(of_b.places, edges_b, j, 2, rim, other)
+                    low_u, low_v = max(box[0], other[0]), max(box[2], other[2])
+                    if low_u > min(box[1], other[1]) or low_v > min(box[3], other[3]):
+                        continue
+                    # two boxes may share several cells: the one at the lower corner of their overlap counts
+                    if _cell(grid, 0, low_u) != cu or _cell(grid, 1, low_v) != cv:
+                        continue
+                    r, s = of_b.places[edges_b[j, 0]], of_b.places[edges_b[j, 1]]
+                    crosses, u, v, height, gap = _crossing(p, q, r, s, rim)
+                    if crosses and gap <= limit:
+                        found, count = _add(found, count, (u, v, height, gap), (CROSSING, i, j))
+    return found, count
+
+
+@inlined_kernel
+def _crossing(p, q, r, s, rim):
+    """Whether segments p q and r s cross as seen, where (u, v), the first's height there, and the other's above it."""
+    ua, va, ub, vb = q[0] - p[0], q[1] - p[1], s[0] - r[0], s[1] - r[1]
+    area = ua * vb - va * ub
+    length_a, length_b = _length(ua, va), _length(ub, vb)
+    if abs(area) <= LEAST_CROSSING * length_a * length_b:
+        return False, 0.0, 0.0, 0.0, 0.0
+    wu, wv = r[0] - p[0], r[1] - p[1]
+    on_a, on_b = (wu * vb - wv * ub) / area, (wu * va - wv * ua) / area
+    if min(on_a, 1.0 - on_a) * length_a < -rim or min(on_b, 1.0 - on_b) * length_b < -rim:
+        return False, 0.0, 0.0, 0.0, 0.0
+    height = p[2] + on_a * (q[2] - p[2])
+    return True, p[0] + on_a * ua, p[1] + on_a * va, height, r[2] + on_b * (s[2] - r[2]) - height
+
+
+@kernel
+def _add(found, count, point, feature):
+    """Write a point; returns (the FacingPoints, which may be larger ones, number of points)."""
+    points, gaps, features = found
+    if count == len(gaps):
+        points = np.vstack((points, np.empty((count, 3))))
+        gaps = np.append(gaps, np.empty(count))
+        features = np.vstack((features, np.empty((count, 3), np.int64)))
+    points[count, 0], points[count, 1], points[count, 2] = point[0], point[1], point[2]
+    gaps[count] = point[3]
+    features[count, 0], features[count, 1], features[count, 2] = feature
+    return FacingPoints(points, gaps, features), count + 1

@@ -1,0 +1,177 @@
+"""A fragment's surface as its contacts need it: triangles that share corners, and the convex edges between them.
+
+Triangles of a surface share whole edges, whose ends are equal to the last bit in both, so corners and edges are found
+by hashes of these. Surfaces are made when a fragment is, and stay: a fracture beside a fragment divides its surface
+anew, but does not move it (cut_tetrahedron.py).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+
+# Sine of the least angle by which the surface turns outwards at an edge: flatter ones are within faces.
+LEAST_TURN = 1e-4
+# A triangle whose height is below this share of the longest edge of the surface is a sliver without a direction.
+SLIVER = 1e-14
+# Sine of the least turn of a line of edges at a corner.
+STRAIGHT = 1e-7
+_PLACES_EACH = 2  # of a hash table, for each entry
+_NONE = -1
+
+
+class Surface(NamedTuple):
+    """Places in the body frame."""
+
+    corners: np.ndarray  # (c, 3) float64 [m], no two are equal
+    triangles: np.ndarray  # (t, 3) int32 rows of corners, counter-clockwise from outside
+    normals: np.ndarray  # (t, 3) float64, unit, outward
+    edges: np.ndarray  # (e, 2) int32 ends of the convex ones
+    beside: np.ndarray  # (e, 2) int32 the triangles at either side of these
+    is_sharp: np.ndarray  # (c,) bool: those that may be outermost alone
+
+
+@kernel
+def make_surface(given):
+    """The Surface of triangles `given` (n, 9) [m], without those that have no area, and edges of one triangle alone."""
+    n = len(given)
+    corners, triangles, normals = np.empty((3 * n, 3)), np.empty((n, 3), np.int32), np.empty((n, 3))
+    places = _room(3 * n)
+    at_place = np.full(places, _NONE, np.int32)
+    longest = 0.0
+    for k in range(n):
+        for d in range(3):
+            longest = max(longest, abs(given[k, d] - given[k, 3 + d]), abs(given[k, d] - given[k, 6 + d]))
+    used, kept = 0, 0
+    for k in range(n):
+        c = given[k]
+        ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
+        vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        length = math.sqrt(x * x + y * y + z * z)
+        if not length > SLIVER * longest * longest:
+            continue
+        for i in range(3):
+            px, py, pz = c[3 * i], c[3 * i + 1], c[3 * i + 2]
+            place = _hash_of_point(px, py, pz) & (places - 1)
+            while at_place[place] != _NONE:
+                q = corners[at_place[place]]
+                if q[0] == px and q[1] == py and q[2] == pz:
+                    break
+                place = (place + 1) & (places - 1)
+            if at_place[place] == _NONE:
+                at_place[place] = used
+                corners[used, 0], corners[used, 1], corners[used, 2] = px, py, pz
+                used += 1
+            triangles[kept, i] = at_place[place]
+        normals[kept, 0], normals[kept, 1], normals[kept, 2] = x / length, y / length, z / length
+        kept += 1
+    edges, beside = _convex_edges(corners, triangles[:kept], normals)
+    corners = corners[:used].copy()
+    return Surface(
+        corners, triangles[:kept].copy(), normals[:kept].copy(), edges, beside, _sharp_corners(corners, edges)
+    )
+
+
+@kernel
+def _sharp_corners(corners, edges):
+    """Ends of convex edges, but for those (c,) within a straight line of two: its ends are as near to anything."""
+    many, beyond = np.zeros(len(corners), np.int64), np.empty(len(corners), np.int64)
+    is_sharp = np.zeros(len(corners), np.bool_)
+    for e in range(len(edges)):
+        for end in range(2):
+            at, other = edges[e, end], edges[e, 1 - end]
+            is_sharp[at] = many[at] != 1 or not _is_between(corners[at], corners[beyond[at]], corners[other])
+            many[at] += 1
+            beyond[at] = other
+    return is_sharp
+
+
+@inlined_kernel
+def _is_between(p, a, b):
+    """Whether p is on the straight line between a and b."""
+    ux, uy, uz = a[0] - p[0], a[1] - p[1], a[2] - p[2]
+    vx, vy, vz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    square = (ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz)
+    return ux * vx + uy * vy + uz * vz < 0.0 and x * x + y * y + z * z < STRAIGHT * STRAIGHT * square
+
+
+@kernel
+def _convex_edges(corners, triangles, normals):
+    """Convex edges (e, 2) and the triangles (e, 2) beside them.
+
+    Where a surface touches itself, more than two triangles share an edge: each is paired with the first that has the
+    edge the other way round and is not paired there yet.
+    """
+    n = len(triangles)
+    places = _room(3 * n)
+    at_place, is_open = np.full(places, _NONE, np.int32), np.ones(3 * n, np.bool_)
+    edges, beside, count = np.empty((3 * n // 2 + 1, 2), np.int32), np.empty((3 * n // 2 + 1, 2), np.int32), 0
+    for t in range(n):
+        for i in range(3):
+            p, q = triangles[t, i], triangles[t, (i + 1) % 3]
+            place = _hash_of_edge(p, q) & (places - 1)
+            while at_place[place] != _NONE:
+                side = at_place[place]
+                s, j = side // 3, side % 3
+                if is_open[side] and triangles[s, j] == q and triangles[s, (j + 1) % 3] == p:
+                    break
+                place = (place + 1) & (places - 1)
+            if at_place[place] == _NONE:
+                at_place[place] = 3 * t + i
+                continue
+            side = at_place[place]
+            is_open[side] = False
+            s = side // 3
+            if _is_convex(corners[q], corners[p], normals[s], normals[t]):
+                edges[count, 0], edges[count, 1] = q, p
+                beside[count, 0], beside[count, 1] = s, t
+                count += 1
+    return edges[:count].copy(), beside[:count].copy()
+
+
+@inlined_kernel
+def _is_convex(begin, end, left, right):
+    """Whether the surface turns outwards at an edge; `left` has it from begin to end, `right` the other way round."""
+    ux, uy, uz = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
+    length = math.sqrt(ux * ux + uy * uy + uz * uz)
+    x = left[1] * right[2] - left[2] * right[1]
+    y = left[2] * right[0] - left[0] * right[2]
+    z = left[0] * right[1] - left[1] * right[0]
+    if x * ux + y * uy + z * uz > LEAST_TURN * length:
+        return True
+    # a fin without thickness folds back
+    return left[0] * right[0] + left[1] * right[1] + left[2] * right[2] < -1.0 + 1e-5
+
+
+@inlined_kernel
+def _room(entries):
+    """A power of two that holds a hash table of so many entries."""
+    places = 16
+    while places < _PLACES_EACH * entries:
+        places *= 2
+    return places
+
+
+@inlined_kernel
+def _hash_of_point(x, y, z):
+    h = _bits(x) * 0x1F7B1EA1 ^ _bits(y) * 0x2545F491 ^ _bits(z) * 0x5851F42D
+    h = (h ^ (h >> 33)) * 0x62A9D9ED799705F5
+    return h ^ (h >> 29)
+
+
+@inlined_kernel
+def _hash_of_edge(p, q):
+    h = (np.int64(min(p, q)) << 32 | np.int64(max(p, q))) * 0x62A9D9ED799705F5
+    return h ^ (h >> 29)
+
+
+@inlined_kernel
+def _bits(x):
+    """Bits of a number; both zeros have the same."""
+    return np.float64(x + 0.0).view(np.int64)
