@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from fracture_collision import portable_math
 from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.portable_math import cosine, images, normal_numbers, sine
 
 DEGREE = np.pi / 180.0  # [rad]
+# [rad] sin(x) / x is 1 to the last bit below this angle.
+SMALL_ANGLE = 1e-8
+
+_sine_after = cached_njit(portable_math.sine_after)
 
 
 @cached_njit
@@ -25,6 +32,19 @@ def rotation_matrices(quaternions):
         result[i, 2, 0] = 2.0 * (x * z - y * w)
         result[i, 2, 1] = 2.0 * (y * z + x * w)
         result[i, 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    return result
+
+
+@cached_njit
+def turns_of(spins, time_step):
+    """exp(h w / 2): the quaternions (n, 4) by which spins (n, 3) [rad/s] turn in a time step [s]."""
+    result = np.empty((len(spins), 4))
+    for i in range(len(spins)):
+        x, y, z = time_step * spins[i, 0], time_step * spins[i, 1], time_step * spins[i, 2]
+        half = 0.5 * math.sqrt(x * x + y * y + z * z)
+        scale = 0.5 if half < SMALL_ANGLE else 0.5 * _sine_after(half, 0.0) / half
+        result[i, 0], result[i, 1], result[i, 2] = scale * x, scale * y, scale * z
+        result[i, 3] = _sine_after(half, 1.0)
     return result
 
 

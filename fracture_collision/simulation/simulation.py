@@ -30,7 +30,7 @@ from fracture_collision.simulation.actors.drag import Drag
 from fracture_collision.simulation.body_traits import Traits, traits_of
 from fracture_collision.simulation.cast import Cast
 from fracture_collision.simulation.engine.engine import BodyStates, Engine, FrameState
-from fracture_collision.simulation.engine.free_motion import free_velocities
+from fracture_collision.simulation.engine.free_motion import free_velocities, mean_spins
 from fracture_collision.simulation.engine.pushes import NO_CHANGES, Changes, Planned, Pusher, Pushes, planned, pushes_of
 from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
 from fracture_collision.simulation.rotations import turned_back
@@ -58,6 +58,7 @@ class _Solved(NamedTuple):
     contacts: StepContacts
     searched: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
     solution: Solution
+    flight: np.ndarray  # (n, 6) drift of bodies in free flight
     overloaded: np.ndarray  # rows of the bodies that break
     deepest_gap: float  # [m]
     pushed_energy: float  # [J] added by hand, hammer and arm
@@ -245,17 +246,20 @@ class Simulation:
             self._rest.asleep,
         )  # fmt: skip
         self._warm_start = solution.warm_start
+        flies = ~self._rest.asleep & ~np.any(pushes.velocities, axis=1) & ~_are_pressed(solution, contacts, pairs)
+        flight = self._flight(bodies, flies)
         if self._looks_ahead:
             self._taken = Changes(states.fragment_ids, solution.velocities - bodies.free_velocities)
         return _Solved(
-            StepContacts(contacts, pairs, ahead), searched, solution, overloaded, deepest_gap, pushes.energy
+            StepContacts(contacts, pairs, ahead), searched, solution, flight, overloaded, deepest_gap, pushes.energy
         )
 
     def _move(self, states: BodyStates, solved: _Solved) -> None:
         settings, time_step, forms = self._scene.solver, self._scene.time_step, self._traits(states).forms
         v, drift, self.shares = held_back(
-            states, solved.contacts, solved.searched, forms, solved.solution,
-            self._scene.gravity, settings, time_step,
+            states, solved.contacts, solved.searched, forms,
+            solved.solution._replace(drift=solved.solution.drift + solved.flight), self._scene.gravity, settings,
+            time_step,
         )  # fmt: skip
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         farthest = sleep.farthest_at_rest(settings, forms.sizes[:-1], self._scene.gravity)
@@ -295,12 +299,20 @@ class Simulation:
         free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
         asleep = np.isin(states.fragment_ids, self._rest.fragment_ids[self._rest.asleep])
         linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
-        return states._replace(linear=linear, angular=free[:, 3:].copy())
+        angular = mean_spins(velocities[:, 3:], free[:, 3:], states.inertias, self._scene.time_step)
+        return states._replace(linear=linear, angular=angular)
 
     def _rigid_bodies(self, states: BodyStates, pushes: np.ndarray) -> RigidBodies:
         velocities = _velocities(states) + pushes
         free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
         return RigidBodies(states.masses, states.inertias, states.centers, velocities, free)
+
+    def _flight(self, bodies: RigidBodies, flies: np.ndarray) -> np.ndarray:
+        """Drift (n, 6) by which the poses of bodies in free flight follow the parabola, and keep angular momentum."""
+        before, free, h = bodies.velocities, bodies.free_velocities, self._scene.time_step
+        turned = mean_spins(before[:, 3:], free[:, 3:], bodies.inertias, h) - free[:, 3:]
+        fallen = np.broadcast_to(-0.5 * h * self._scene.gravity, turned.shape)
+        return np.where(flies[:, None], np.hstack((fallen, turned)), 0.0)
 
     def _body_pairs(self, shared: SharedTraits) -> BodyPairs:
         settings = self._scene.solver
@@ -331,6 +343,15 @@ class Simulation:
         self._cast.replace(event, frame, self._engine)
         self.drag.keep_hold(body_id, fragment_id)
         return True
+
+
+def _are_pressed(solution: Solution, contacts: ContactConstraintArray, pairs: BodyPairs) -> np.ndarray:
+    """(n,) bodies that a contact has pushed in this step."""
+    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
+    pressing = np.repeat(np.arange(len(counts)), counts)[solution.normal_impulses > 0.0]
+    pressed = np.zeros(len(solution.velocities) + 1, bool)
+    pressed[pairs.body_a[pressing]] = pressed[pairs.body_b[pressing]] = True
+    return pressed[:-1]
 
 
 def _velocities(states: BodyStates) -> np.ndarray:

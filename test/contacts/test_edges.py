@@ -155,8 +155,9 @@ def test_rods_that_will_touch_within_a_step_have_a_contact(kind: str) -> None:
         linear_velocities=np.array([0.0, 0.0, 0.0, 0.0, 0.0, -30.0]), angular_velocities=np.zeros(6)
     )
     answer = answer_of_rods(kind, EDGES._replace(lookahead=0.01), states)
-    assert answer.gaps.tolist() == [pytest.approx(0.2, abs=1e-9)]
-    np.testing.assert_allclose(answer.normals, [0.0, 0.0, 1.0], atol=1e-9)
+    # the sides of the rods may meet later in the step
+    assert answer.gaps.min() == pytest.approx(0.2, abs=1e-9) and (np.sort(answer.gaps)[1:] > 0.25).all()
+    np.testing.assert_allclose(answer.normals.reshape(-1, 3), [[0.0, 0.0, 1.0]] * len(answer.gaps), atol=1e-9)
     # samples find nothing until one is inside, and then from the side
     sampled = answer_of_rods(kind, Settings(threads=1, surfaces="sampled", lookahead=0.01), states)
     assert not (np.abs(sampled.normals.reshape(-1, 3)[:, 2]) > 0.9).any()

@@ -100,7 +100,7 @@ def test_no_energy_is_gained_where_the_contacts_are_solved_to_the_end():
     boxes = [
         box(f"box {i}", [0.2, 0.15, 0.1], [0.02 * i, 0.0, 0.1 + 0.15 * i], rotation=[9.0 * i, 5.0, 0]) for i in range(4)
     ]
-    reports, _ = run(make_scene(*boxes, duration=0.8, solver={"iterations": 1000, "accuracy": 0.0}), energy_gain=1e-9)
+    reports, _ = run(make_scene(*boxes, duration=1.2, solver={"iterations": 1000, "accuracy": 0.0}), energy_gain=1e-9)
     assert reports[0].potential_energy - reports[-1].potential_energy > 5.0
     assert reports[-1].max_speed < 1e-6
 
@@ -134,7 +134,7 @@ def test_a_ball_bounces_by_its_restitution(restitution):
     )
     reports, _ = run(scene)
     speed = np.sqrt(2.0 * GRAVITY * 0.5)
-    after = reports[np.argmax([r.contacts > 0 for r in reports])]
+    after = reports[1 + np.argmax(np.diff([r.max_speed for r in reports]) < 0.0)]
     assert after.max_speed == pytest.approx(restitution * speed, abs=0.02)
 
 

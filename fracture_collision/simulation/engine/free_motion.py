@@ -5,15 +5,20 @@ Euler's equations I w' + w x I w = 0 by the implicit midpoint rule: with m = (w0
     f(w1) = I (w1 - w0) + h m x I m = 0,   f' = I + h/2 ([m]x I - [I m]x)
 
 It keeps the quadratic invariants w.Iw and |Iw|^2 (Hairer, Lubich, Wanner, "Geometric Numerical Integration", IV.2.1);
-the explicit rule, Bullet's own, feeds energy to fast spins. I is the world-axes inertia of the pose at the start.
+the explicit rule, Bullet's own, feeds energy to fast spins. I is the world-axes inertia of the pose at the start, w1
+turns with the body. So the pose decides where the angular momentum points: mean_spins keeps it.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fracture_collision.kernel_sources import cached_njit
+from fracture_collision.portable_math import dots, lengths, rotation_vectors
 from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.rotations import crossed, quaternion_products, rotation_matrices, turned, turns_of
 
 NEWTON_STEPS = 12
 # A step in which a body turns by many radians is divided into parts, doubled in number while one does not converge.
@@ -36,6 +41,27 @@ def free_velocities(velocities, inertias, gravity, time_step):
         )
         result[i, 3], result[i, 4], result[i, 5] = spin
     return result
+
+
+def mean_spins(before: np.ndarray, after: np.ndarray, inertias: np.ndarray, time_step: float) -> np.ndarray:
+    """Constant spins (n, 3) [rad/s] that turn free bodies as their step does: angular momentum keeps its direction.
+
+    before, after (n, 3) [rad/s]: their spins, see free_velocities. It is the mean of both, corrected by the least turn
+    that brings the momentum after the step to that before.
+    """
+    middle = 0.5 * (before + after)
+    turns = turns_of(middle, time_step)
+    momentum, moved = turned(inertias, before), turned(rotation_matrices(turns), turned(inertias, after))
+    size = lengths(momentum) * lengths(moved)
+    align = np.column_stack((crossed(moved, momentum), dots(moved, momentum) + size))
+    align[~(align[:, 3] > 0.5 * size)] = 0.0, 0.0, 0.0, 1.0
+    align /= lengths(align)[:, None]
+    vectors = rotation_vectors(quaternion_products(align, turns))
+    angles, along = lengths(vectors), time_step * dots(vectors, middle)
+    safe = np.where(angles > 0.0, angles, 1.0)
+    rounds = np.where(angles > 0.0, np.round((along / safe - angles) / (2.0 * np.pi)), 0.0)
+    spins = vectors * ((1.0 + 2.0 * np.pi * rounds / safe) / time_step)[:, None]
+    return np.where((before == after).all(axis=1)[:, None], after, spins)
 
 
 @uncounted

@@ -11,13 +11,11 @@ from glibc, which rounds them differently from processor to processor, and turns
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from fracture_collision import portable_math
-from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.engine.engine import BodyStates, FrameState, MassProperties
 from fracture_collision.simulation.rotations import (
     crossed,
@@ -26,12 +24,8 @@ from fracture_collision.simulation.rotations import (
     turned,
     turned_along,
     turned_matrices,
+    turns_of,
 )
-
-# [rad] sin(x) / x is 1 to the last bit below this angle.
-SMALL_ANGLE = 1e-8
-
-_sine_after = cached_njit(portable_math.sine_after)
 
 
 class _Bodies(NamedTuple):
@@ -97,7 +91,7 @@ class RigidBodyWorld:
     ) -> None:
         """One time step: see Engine."""
         before = self.states()
-        turns = _turns(angular + drift_angular, self._time_step)
+        turns = turns_of(angular + drift_angular, self._time_step)
         after = quaternion_products(turns, before.frame_orientations)
         self._bodies = self._bodies._replace(
             centers=before.centers + self._time_step * (linear + drift_linear),
@@ -150,16 +144,3 @@ def _leading_minors(matrix: np.ndarray) -> tuple[float, float, float]:
     """All positive if and only if a symmetric (3, 3) matrix is positive definite (Sylvester)."""
     two = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
     return float(matrix[0, 0]), float(two), float(portable_math.determinants(matrix))
-
-
-@cached_njit
-def _turns(spins, time_step):
-    """exp(h w / 2): the quaternions (n, 4) by which spins (n, 3) [rad/s] turn in a time step [s]."""
-    result = np.empty((len(spins), 4))
-    for i in range(len(spins)):
-        x, y, z = time_step * spins[i, 0], time_step * spins[i, 1], time_step * spins[i, 2]
-        half = 0.5 * math.sqrt(x * x + y * y + z * z)
-        scale = 0.5 if half < SMALL_ANGLE else 0.5 * _sine_after(half, 0.0) / half
-        result[i, 0], result[i, 1], result[i, 2] = scale * x, scale * y, scale * z
-        result[i, 3] = _sine_after(half, 1.0)
-    return result

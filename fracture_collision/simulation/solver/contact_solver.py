@@ -26,7 +26,8 @@ Symbols, for contact c between bodies a and b
   (1) u = u* + W sum_c (J_n^T lambda + J_t^T beta)                               [A, 2.11]
   (2) 0 <= lambda  _|_  J_n u + max(g, 0) / h >= 0      an open gap may close within the step, no further
   (3) |beta| <= mu lambda, opposing J_t u               the round cone: beta is projected as a vector
-  (4) where J_n u(t) < -v_e and lambda > 0:  J_n u >= -e J_n u(t)                 Newton's restitution, after (1)-(3)
+  (4) where J_n u(t) < -v_e and it closes up:  J_n u >= -e J_n u(t)               Newton's restitution, before (1)-(3):
+      u(t) becomes what it is after all impacts, and u* changes with it; see contact_step
   (5) |tau| <= rho sum(lambda) of the pair, opposing w_b - w_a                    rolling and spinning resistance
   (6) drift:  J_n (u + u_d) >= max(min(f d / h, v_max), min(d / h, -J_n u(t))) with d = -g - slop, where d > 0;
       elsewhere >= d / h

@@ -126,7 +126,8 @@ def held_back(
 
     Gravity (3,) [m/s2] acts only while a body moves: its share for the rest of the step is subtracted, or the body
     would gain energy without a loss of height. From a body in contact no more than its falling speed is subtracted:
-    contacts already bear the weight of a resting body.
+    contacts already bear the weight of a resting body. One that fell and rises has bounced: to it, the share is given
+    back, to no more than the speed at which it fell.
 
     searched (n, 6): the velocities that the service looked ahead with; None: it does not look ahead.
     """
@@ -165,10 +166,12 @@ def held_back(
         shares = shares_side_by_side(shares, motion, boxes, spare)
     is_free = np.ones(count + 1, bool)
     is_free[pairs.body_a] = is_free[pairs.body_b] = False
-    unspent, falls = (1.0 - shares) * time_step, np.maximum(dots(velocities[:, :3], gravity), 0.0)
+    unspent, falls = (1.0 - shares) * time_step, dots(velocities[:, :3], gravity)
     square = float((gravity * gravity).sum())
     if square > 0.0:
-        unspent = np.where(is_free[:count], unspent, np.minimum(unspent, falls / square))
+        bounced = np.maximum(dots(states.linear, gravity) + np.minimum(falls, 0.0), 0.0)
+        most = np.where(falls < 0.0, bounced, falls) / square
+        unspent = np.where(is_free[:count], unspent, np.minimum(unspent, most))
     velocities = velocities.copy()
     velocities[:, :3] -= unspent[:, None] * gravity
     return HeldBack(velocities, shares[:, None] * moves - velocities, shares)
