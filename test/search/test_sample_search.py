@@ -152,10 +152,14 @@ def test_listed_contacts_follow_the_selection_rule(shape, jitter, wanted, most, 
     assert chosen_of_many > 10
 
 
-def test_bodies_at_rest_keep_their_contacts() -> None:
-    """A brick on a brick touches with a hundred samples, equally deep up to rounding: always the same are listed."""
+@pytest.mark.parametrize(("surfaces", "count"), [("sampled", 8), ("edges", 4)])
+def test_bodies_at_rest_keep_their_contacts(surfaces: str, count: int) -> None:
+    """A brick on a brick touches with a hundred samples, equally deep up to rounding: always the same are listed.
+
+    Or with the four corners of where they overlap.
+    """
     lower, upper = (tetrahedral_body(brick((1.0, 1.0, 0.5), 0.1), i) for i in (1, 2))
-    world, ids = CollisionWorld(Settings(threads=1)), []
+    world, ids = CollisionWorld(Settings(threads=1, surfaces=surfaces)), []
     world.add_body(lower)
     world.add_body(upper)
     random = np.random.default_rng(1)
@@ -165,7 +169,7 @@ def test_bodies_at_rest_keep_their_contacts() -> None:
             step, 0, np.array([1, 2]), np.array([0.0, 0.0, 0.0, 0.03, 0.02, 0.4999]) + small, np.tile([0, 0, 0, 1.0], 2)
         )
         ids.append(world.contacts(states).contact_ids.tolist())
-    assert len(ids[0]) == 8 and all(later == ids[0] for later in ids)
+    assert len(ids[0]) == count and all(later == ids[0] for later in ids)
 
 
 def test_leaves_contain_every_sample_once() -> None:
