@@ -46,6 +46,7 @@ from fracture_collision.simulation.solver.contact_solver import (
     Solution,
     bounce_speeds,
     kinetic_energy,
+    normal_impulse_sums,
 )
 from fracture_collision.simulation.solver.rest_gaps import rest_gaps_of
 from fracture_collision.simulation.solver.touch_ahead import StepContacts, held_back, split_by_gap
@@ -246,8 +247,8 @@ class Simulation:
             self._rest.asleep,
         )  # fmt: skip
         self._warm_start = solution.warm_start
-        flies = ~self._rest.asleep & ~np.any(pushes.velocities, axis=1) & ~_are_pressed(solution, contacts, pairs)
-        flight = self._flight(bodies, flies)
+        is_pressed = normal_impulse_sums(solution, contacts, pairs, len(bodies.masses)) > 0.0
+        flight = self._flight(bodies, ~(self._rest.asleep | is_pressed | np.any(pushes.velocities, axis=1)))
         if self._looks_ahead:
             self._taken = Changes(states.fragment_ids, solution.velocities - bodies.free_velocities)
         return _Solved(
@@ -343,15 +344,6 @@ class Simulation:
         self._cast.replace(event, frame, self._engine)
         self.drag.keep_hold(body_id, fragment_id)
         return True
-
-
-def _are_pressed(solution: Solution, contacts: ContactConstraintArray, pairs: BodyPairs) -> np.ndarray:
-    """(n,) bodies that a contact has pushed in this step."""
-    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
-    pressing = np.repeat(np.arange(len(counts)), counts)[solution.normal_impulses > 0.0]
-    pressed = np.zeros(len(solution.velocities) + 1, bool)
-    pressed[pairs.body_a[pressing]] = pressed[pairs.body_b[pressing]] = True
-    return pressed[:-1]
 
 
 def _velocities(states: BodyStates) -> np.ndarray:
