@@ -183,7 +183,8 @@ def slide(what: str, speed: float) -> Elementary:
         return [*tiles, body("slider", shape, (-1.5, 0.03, height), ICE, linear_velocity=velocity)]
 
     def faults(trace: Trace) -> Iterator[str]:
-        left = trace.kinetic[-1]
+        first = trace.linear[0, 0]  # it has begun to fall onto the tiles
+        left = trace.kinetic[-1] * (first @ first) / (first[:2] @ first[:2])
         if not 0.999 < left < 1.02:
             yield f"{100 * left:.1f} % of the energy left"
         lift = (trace.places[:, 0, 2] - trace.places[0, 0, 2]).max()

@@ -155,7 +155,7 @@ class Simulation:
         if self._looks_ahead and self._planned is None and not self._cast.waiting:
             states = self._engine.states()
             self._planned = planned(states.fragment_ids, self._pushes(states), self._taken)
-        others = self._cast.static_frames | self._cast.waiting
+        others = self._cast.static_frames | {i: self._falling(frame) for i, frame in self._cast.waiting.items()}
         requested = fragment_states(self._step, self._sequence, self._to_search(self._engine.states()), others)
         self._requested = requested._replace(body_sequence=self._cast.body_sequence)
         return StepRequest(self._requested, self._cast.take_news(), list(self._events))
@@ -302,6 +302,10 @@ class Simulation:
         linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
         angular = mean_spins(velocities[:, 3:], free[:, 3:], states.inertias, self._scene.time_step)
         return states._replace(linear=linear, angular=angular)
+
+    def _falling(self, frame: FrameState) -> FrameState:
+        """The frame with the velocity that it will have: as _to_search, without the torque that needs its inertia."""
+        return frame._replace(linear_velocity=frame.linear_velocity + self._scene.time_step * self._scene.gravity)
 
     def _rigid_bodies(self, states: BodyStates, pushes: np.ndarray) -> RigidBodies:
         velocities = _velocities(states) + pushes

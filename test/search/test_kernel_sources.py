@@ -170,9 +170,9 @@ DEPTH = """
 import json
 import numpy as np
 from fracture_collision.geometry.generators import brick
-from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates
+from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates, Settings
 mesh = brick((1.0, 1.0, 1.0), 0.5)
-world = CollisionWorld()
+world = CollisionWorld(Settings(surfaces="sampled"))
 for number in (1, 2):
     world.add_body(CollisionBody(number, number, vertices=mesh.vertices.ravel(), tetrahedra=mesh.tetrahedra.ravel()))
 positions, turns = np.array([0.0, 0.0, 0.0, 0.03, 0.04, 0.98]), np.tile([0.0, 0.0, 0.0, 1.0], 2)

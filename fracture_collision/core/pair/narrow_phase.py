@@ -16,6 +16,7 @@ from fracture_collision.core.lookahead.motion import NO_MOTION, Motion, Moving, 
 from fracture_collision.core.lookahead.staying_apart import may_get_through
 from fracture_collision.core.memory.compiled import kernel, threaded_kernel
 from fracture_collision.core.memory.crew import Crew
+from fracture_collision.core.memory.kinds import SPHERE
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import FACING
 from fracture_collision.core.mesh.surface_elements import ElementTable
@@ -290,7 +291,7 @@ def query_pairs(
             before.answer, pools.fragment.kind, step, poses, (slots, known), (shares, share), (counts, bounds)
         )
         if scene.motion.time > 0.0:
-            moved = _without_those_that_leave(pools.fragment.box, step, scene.motion, counts, stands_at)
+            moved = _without_those_that_leave(pools.fragment, step, scene.motion, counts, stands_at)
     cut = search.run(moved, stands_at)
     offsets = begins_of(counts)
     columns = search.gather(offsets)
@@ -314,18 +315,21 @@ def query_pairs(
 
 
 @kernel
-def _without_those_that_leave(boxes, step, motion, counts, stands_at):
+def _without_those_that_leave(fragments, step, motion, counts, stands_at):
     """Drop moving pairs from those in place (see pairs_in_place); returns the pairs that are not in place then (m,).
 
-    Pairs that touch stay if they move so slowly that their present contacts are all they can have. boxes (F, 6) [m]: of
-    all fragments.
+    Pairs that touch stay if they move so slowly that their present contacts are all they can have: not spheres, whose
+    contacts are those of the end.
     """
+    boxes, kinds = fragments.box, fragments.kind
     is_in_motion = is_moving(motion)
     for p in range(len(step.pairs)):
         i, j = step.pairs[p, 0], step.pairs[p, 1]
         if stands_at[p] < 0 or not (is_in_motion[i] or is_in_motion[j]):
             continue
-        if counts[p] == 0 or may_get_through(boxes, step.rows[i], step.rows[j], i, j, motion):
+        a, b = step.rows[i], step.rows[j]
+        is_round = kinds[a] == SPHERE or kinds[b] == SPHERE
+        if counts[p] == 0 or is_round or may_get_through(boxes, a, b, i, j, motion):
             stands_at[p] = -1
     return np.flatnonzero(stands_at < 0)
 

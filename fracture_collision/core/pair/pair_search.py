@@ -14,6 +14,7 @@ from fracture_collision.core.edges.ridge_contacts import least_apart
 from fracture_collision.core.edges.ridges import Ridges
 from fracture_collision.core.lookahead.first_touch import first_touch
 from fracture_collision.core.lookahead.motion import between_balls, closing_speed
+from fracture_collision.core.lookahead.sphere_at_end import sphere_at_end
 from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hulls_stay_apart, may_touch_again
 from fracture_collision.core.memory.compiled import spliced_kernel
 from fracture_collision.core.memory.pools import Pools
@@ -225,6 +226,8 @@ def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
         else:
             toward[0] = toward[1] = toward[2] = 0.0
     is_ahead = False
+    if not is_settled and not may_search(pools, pair.a, pair.b):
+        count, is_ahead = sphere_at_end(pools, pair, moving, ahead, count, sink, scratch)
     if not (
         count != 0
         or is_settled

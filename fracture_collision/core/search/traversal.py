@@ -118,7 +118,7 @@ def query_pair(pools, pair, rule, limits, sink, scratch):
                 most_within = max(further, LEAST_WITHIN)
                 count, bound, left_out = sphere_contacts(pools, pair, side, rule, most_within, sink, scratch)
                 exhausted = BY_LIMIT if left_out else COMPLETE
-        elif fragment.tree_end[own] > fragment.tree_begin[own]:
+        elif fragment.kind[other] != SPHERE and fragment.tree_end[own] > fragment.tree_begin[own]:
             root = fragment.tree_begin[own]
             c = tree.spheres[root]
             x, y, z = to_other(rotation[side], translation[side], c[0], c[1], c[2])

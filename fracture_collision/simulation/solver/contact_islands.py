@@ -245,8 +245,10 @@ def _impulses_of_island(pairs, rows, contacts, result):
             r, old = rows.contacts[c], result.impulses[c + shift]
             impulses[c, 0] = max(r[0] * old[0] + r[1] * old[1] + r[2] * old[2], 0.0)
             impulses[c, 0] = min(impulses[c, 0], contacts.impulse_limits[c + shift])
-            impulses[c, 1] = r[TANGENT1] * old[0] + r[TANGENT1 + 1] * old[1] + r[TANGENT1 + 2] * old[2]
-            impulses[c, 2] = r[TANGENT2] * old[0] + r[TANGENT2 + 1] * old[1] + r[TANGENT2 + 2] * old[2]
+            impulses[c, 1] = impulses[c, 2] = 0.0
+            if contacts.friction[pairs[k]] > 0.0:  # without it, no sweep looks at them again
+                impulses[c, 1] = r[TANGENT1] * old[0] + r[TANGENT1 + 1] * old[1] + r[TANGENT1 + 2] * old[2]
+                impulses[c, 2] = r[TANGENT2] * old[0] + r[TANGENT2 + 1] * old[1] + r[TANGENT2 + 2] * old[2]
     return impulses, rolling
 
 
