@@ -262,11 +262,10 @@ def one_place(shape: Callable[[str], dict[str, Any]], apart: float) -> Elementar
 
 def l_in_table() -> Elementary:
     def bodies(setting: Setting) -> list[dict[str, Any]]:
-        cells = 0.005
-        shape = {"l_brick": {"size_xyz": [0.1, 0.04, 0.1], "notch_xy": [0.06, 0.06], "edge_length": cells}}
+        shape = {"l_block": {"size_xyz": [0.1, 0.1, 0.04], "notch_xy": [0.06, 0.06], "edge_length": 0.02}}
         return [
             body("table", flat(setting.kind, 0.4, 0.4, 0.01), (0, 0, -0.005), static=True),
-            body("l", shape, (0, 0, 0.05 - 0.004)),
+            body("l", shape, (0, 0, 0.05 - 0.004), rotation=[90.0, 0.0, 0.0]),
         ]
 
     def faults(trace: Trace) -> Iterator[str]:
@@ -286,6 +285,7 @@ SCENES: dict[str, Elementary] = {
     "crossed bars": crossed(),
     **{f"{d} m in a wall": in_wall(d) for d in (0.11, 0.7)},
     "boxes at one place": one_place(lambda kind: flat(kind, 1.0, 1.0, 1.0), 0.0),
+    "l block 4 mm in a table": l_in_table(),
     "boxes half in each other": one_place(lambda kind: flat(kind, 1.0, 1.0, 1.0), 0.5),
 }
 

@@ -25,6 +25,7 @@ from fracture_collision.core.pair.narrow_phase import (
     query_pairs,
 )
 from fracture_collision.core.pair.pair_search import Geometry
+from fracture_collision.core.patches.interlocked import SurfaceTable
 from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes
 from fracture_collision.core.search.scratch import Scratch, scratch_for
 from fracture_collision.process.compile_progress import report_compilation
@@ -91,6 +92,7 @@ class CollisionWorld:
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
         self._surfaces: ElementTable | None = None
         self._surfaces_of = self._what_is_remembered_of()
+        self._whole, self._whole_of = SurfaceTable(), (self._registry, self._registry.renumbered)
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
@@ -174,7 +176,7 @@ class CollisionWorld:
         remembered = self._take_remembered() if self.settings.neighbour_lists else None
         scene = Scene(
             Geometry(pools, edges, self._shapes_to_search()), Step(rows, rotations, positions, pairs), motion,
-            paired.overlaps, self._surfaces_to_search(), self._registry.changes,
+            paired.overlaps, self._whole_surfaces(), self._surfaces_to_search(), self._registry.changes,
         )  # fmt: skip
         found, now_remembered = query_pairs(
             scene, _rule(self.settings), self._scratch, self._crew, remembered, _work_limits(self.settings, len(pairs))
@@ -304,6 +306,15 @@ class CollisionWorld:
     def _shapes_to_search(self) -> Shapes:
         """Hulls and surfaces of all fragments; none where contacts are samples alone."""
         return self._registry.geometry.shapes if has_edges(self.settings) else NO_SHAPES
+
+    def _whole_surfaces(self) -> SurfaceTable | None:
+        """Surfaces of concave fragments, likewise built on demand."""
+        if not has_edges(self.settings):
+            return None
+        holds_for = self._registry, self._registry.renumbered
+        if self._whole_of != holds_for:
+            self._whole, self._whole_of = SurfaceTable(), holds_for
+        return self._whole
 
     def _surfaces_to_search(self) -> ElementTable | None:
         """Surface elements, built on demand and kept as long as rows keep their numbers."""

@@ -22,6 +22,7 @@ from fracture_collision.core.memory.pools import FACING
 from fracture_collision.core.mesh.surface_elements import ElementTable
 from fracture_collision.core.pair.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.pair.pair_search import Geometry, Slot, look_ahead, patch_pair, search_pair
+from fracture_collision.core.patches.interlocked import SurfaceTable, part_interlocked
 from fracture_collision.core.search.depth_limits import depth_limit_of_pair
 from fracture_collision.core.search.kept_answer import (
     NOTHING_KEPT,
@@ -76,6 +77,7 @@ class Scene(NamedTuple):
     step: Step
     motion: Motion = NO_MOTION  # of the fragments of `step`
     overlaps: Overlaps | None = None  # of the boxes of its pairs, see crowds.visit_shares
+    whole: SurfaceTable | None = None  # surfaces of concave fragments, where some contacts are of them
     elements: ElementTable | None = None  # surface elements, if surfaces between samples are searched, too
     stamp: int = 0  # differs after any change of the pools
 
@@ -291,7 +293,8 @@ def query_pairs(
             before.answer, pools.fragment.kind, step, poses, (slots, known), (shares, share), (counts, bounds)
         )
         if scene.motion.time > 0.0:
-            moved = _without_those_that_leave(pools.fragment, step, scene.motion, counts, stands_at)
+            has_patches = len(scene.geometry.shapes.size) > 0
+            moved = _without_those_that_leave(pools.fragment, step, scene.motion, counts, stands_at, has_patches)
     cut = search.run(moved, stands_at)
     offsets = begins_of(counts)
     columns = search.gather(offsets)
@@ -299,9 +302,16 @@ def query_pairs(
     if before is not None and lists is not NO_LISTS:
         gather_kept(before.answer, stands_at, offsets, columns, searched)
     found = PairContacts(counts, bounds, visits, exhausted, *columns)
+    if scene.whole is not None:
+        unlimited = np.flatnonzero((stands_at < 0) & (shares == UNSHARED))
+        work = unlimited, scene.geometry.shapes
+        rules = Rule(*rule[:-1], limits.contacts_per_pair), limits.contacts
+        found, parted = part_interlocked(pools, scene.whole, step, scene.motion, work, rules, found, (scratch, crew))
+        search.out.is_ahead[parted] = True
+        offsets = begins_of(found.counts)
     if scene.elements is not None:
-        work = np.flatnonzero(stands_at < 0), shares == UNSHARED  # `run` marks those in place that it searched
-        found = judge_pairs(pools, scene.elements, step, work, rule, found, scratch, crew)
+        judged = np.flatnonzero(stands_at < 0), shares == UNSHARED  # `run` marks those in place that it searched
+        found = judge_pairs(pools, scene.elements, step, judged, rule, found, scratch, crew)
         offsets = begins_of(found.counts)
     if lists is NO_LISTS:
         return found, NOTHING_REMEMBERED
@@ -315,11 +325,11 @@ def query_pairs(
 
 
 @kernel
-def _without_those_that_leave(fragments, step, motion, counts, stands_at):
+def _without_those_that_leave(fragments, step, motion, counts, stands_at, has_patches):
     """Drop moving pairs from those in place (see pairs_in_place); returns the pairs that are not in place then (m,).
 
-    Pairs that touch stay if they move so slowly that their present contacts are all they can have: not spheres, whose
-    contacts are those of the end.
+    Pairs that touch stay if they move so slowly that their present contacts are all they can have: not spheres and
+    patches, whose contacts are those of the end, too.
     """
     boxes, kinds = fragments.box, fragments.kind
     is_in_motion = is_moving(motion)
@@ -328,8 +338,8 @@ def _without_those_that_leave(fragments, step, motion, counts, stands_at):
         if stands_at[p] < 0 or not (is_in_motion[i] or is_in_motion[j]):
             continue
         a, b = step.rows[i], step.rows[j]
-        is_round = kinds[a] == SPHERE or kinds[b] == SPHERE
-        if counts[p] == 0 or is_round or may_get_through(boxes, a, b, i, j, motion):
+        is_of_end = has_patches or kinds[a] == SPHERE or kinds[b] == SPHERE
+        if counts[p] == 0 or is_of_end or may_get_through(boxes, a, b, i, j, motion):
             stands_at[p] = -1
     return np.flatnonzero(stands_at < 0)
 

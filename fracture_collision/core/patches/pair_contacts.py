@@ -79,7 +79,7 @@ def put_patch(shapes, pair, moving, wanted, remembered, sink):
                     put_pose(motion, rotations, positions, k, t, turns[row], places[row])
                 else:
                     turns[row], places[row] = rotations[k], positions[k]
-        placings = _seen_from(turns, places, 0), _seen_from(turns, places, 3)
+        placings = seen_from(turns, places, 0), seen_from(turns, places, 3)
         more = max(parts - 1 - part, 0)
         patch = mesh_patch(shapes, (pair.a, pair.b), hulls, placings, more, wanted, remembered)
         count = len(patch.gaps)
@@ -93,7 +93,7 @@ def put_patch(shapes, pair, moving, wanted, remembered, sink):
                 if part > 0:
                     p = _turned_back(placings[0].rotations[0], p - placings[0].positions[0])
                     p = _turned(pair.rotation[0], p) + pair.translation[0]
-                _put(sink, k, p, q, n if part > 0 else patch.normal, patch.numbers[k])
+                put_contact(sink, k, p, q, n if part > 0 else patch.normal, patch.numbers[k])
         if count > 0:
             return count, bound, parts > 0
     return 0, bound, parts > 0
@@ -116,7 +116,7 @@ def _parts(motion, i, j):
 
 
 @kernel
-def _put(sink, k, p, q, n, number):
+def put_contact(sink, k, p, q, n, number):
     """Write a contact to row k of a Sink, as a sample of a that meets b."""
     row, ids = sink.contacts[k], sink.ids[k]
     for d in range(3):
@@ -143,17 +143,17 @@ def mesh_patch(shapes, rows, hulls, placings, more, wanted, remembered):
     if parting.now > tolerance and parting.end < tolerance and closing > 0.0:
         share = min(parting.now / closing, 1.0)
     surface_a, surface_b = surface_of(shapes, a), surface_of(shapes, b)
-    first, last = _posed(surface_a, placings[0], share), _posed(surface_b, placings[1], share)
+    first, last = posed_at(surface_a, placings[0], share), posed_at(surface_b, placings[1], share)
     # where the two are stopped at one place, others may yet meet
     moves = _moves(placings, hulls[0])
     found = facing_points(first, last, n, tolerance + (1.0 - share + more) * moves, size)
     # a point inside is no farther from the surface than both are moved to be apart, or were moved to get there
     overlap = min(max(-parting.now, 0.0), wanted.moved)
-    return _listed(found, placings, (share, overlap), n, more, wanted, size)
+    return listed_patch(found, placings, (share, overlap), n, more, wanted, size)
 
 
 @kernel
-def _listed(found, placings, at, n, more, wanted, size):
+def listed_patch(found, placings, at, n, more, wanted, size):
     """The Patch of the best of FacingPoints, none where none is within the tolerance now or at the end.
 
     at: share of the part of the step at which they are, the overlap. A point is listed if it is within the tolerance
@@ -246,7 +246,7 @@ def _spread(points, depths, order, tolerance, most):
 
 
 @kernel
-def _seen_from(turns, places, first):
+def seen_from(turns, places, first):
     """The Placing of the fragment with world poses turns (6, 3, 3), places (6, 3) in the rows from `first` on.
 
     b's, in whose frame they are seen, are in the last three.
@@ -318,7 +318,7 @@ def _mixed(placing, share):
 
 
 @kernel
-def _posed(surface, placing, share):
+def posed_at(surface, placing, share):
     """The Posed surface at a share of the step."""
     rotation, position = _mixed(placing, share)
     return Posed(

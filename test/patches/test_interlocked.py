@@ -1,0 +1,101 @@
+"""Concave bodies of few triangles that pierce each other, against all their edges and faces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.records import ContactConstraintArray
+from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates, Settings
+
+EDGES = Settings(surfaces="edges")
+
+
+def hook() -> trimesh.Trimesh:
+    outline = np.array([(0, 0), (0.6, 0), (0.6, 0.15), (0.15, 0.15), (0.15, 0.6), (0, 0.6)]) - 0.2
+    n, low, high = 6, np.full(6, -0.1), np.full(6, 0.1)
+    caps = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)])
+    i = np.arange(n)
+    j = (i + 1) % n
+    sides = np.vstack((np.column_stack((i, j, j + n)), np.column_stack((i, j + n, i + n))))
+    corners = np.vstack((np.column_stack((outline, low)), np.column_stack((outline, high))))
+    return trimesh.Trimesh(corners, np.vstack((caps[:, ::-1], caps + n, sides)), process=False)
+
+
+SHAPES = {
+    "hook": hook(),
+    "spike": trimesh.creation.cone(0.12, 0.9, sections=12),
+    "plate": trimesh.creation.box((1.0, 0.8, 0.03)),
+    "torus": trimesh.creation.torus(0.4, 0.08, major_sections=24, minor_sections=10),
+    "can": trimesh.creation.annulus(0.25, 0.3, 0.5, sections=24),
+    "needle": trimesh.creation.cylinder(0.01, 1.2, sections=8),
+}
+
+
+def contacts_of(first: str, second: str, turns: np.ndarray, offset: np.ndarray) -> ContactConstraintArray:
+    world = CollisionWorld(EDGES)
+    for i, name in enumerate((first, second), 1):
+        mesh = SHAPES[name]
+        world.add_body(CollisionBody(i, i, vertices=mesh.vertices.ravel(), triangles=mesh.faces.ravel()))
+    return world.contacts(FragmentStates(1, 0, np.array([1, 2]), np.append(np.zeros(3), offset), turns.ravel()))
+
+
+def placed(name: str, turn: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Corners (t, 3, 3) of the triangles."""
+    return Rotation.from_quat(turn).apply(SHAPES[name].vertices)[SHAPES[name].faces] + offset
+
+
+def pierces(edges_of: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether an edge of some triangles (t, 3, 3) passes through one of others."""
+
+    def volume(a, b, c, d):
+        return np.einsum("...i,...i", np.cross(b - a, c - a), d - a)
+
+    u, v, w = faces[None, :, 0], faces[None, :, 1], faces[None, :, 2]
+    for k in range(3):
+        p, q = edges_of[:, None, k], edges_of[:, None, (k + 1) % 3]
+        across = volume(u, v, w, p) * volume(u, v, w, q) < 0.0
+        x, y, z = volume(p, q, u, v), volume(p, q, v, w), volume(p, q, w, u)
+        inside = ((x > 0) & (y > 0) & (z > 0)) | ((x < 0) & (y < 0) & (z < 0))
+        if (across & inside).any():
+            return True
+    return False
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_pair_that_pierces_is_listed_with_a_contact_or_a_bound(seed: int) -> None:
+    random, names = np.random.default_rng(seed), list(SHAPES)
+    through = 0
+    for _ in range(60):
+        first, second = random.choice(names, 2)
+        turns, offset = Rotation.random(2, random_state=random).as_quat(), random.normal(0.0, 0.25, 3)
+        a, b = placed(first, turns[0], np.zeros(3)), placed(second, turns[1], offset)
+        answer = contacts_of(first, second, turns, offset)
+        if pierces(a, b) or pierces(b, a):
+            through += 1
+            deepest = max(-answer.gaps.min(initial=0.0), answer.missed_depth_bound.max(initial=0.0))
+            assert len(answer.missed_depth_bound) == 1 and deepest > 0.0, (first, second)
+    assert through > 20
+
+
+def test_a_needle_through_a_plate_has_contacts_along_one_direction() -> None:
+    """No corner of either is inside the other."""
+    upright = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
+    answer = contacts_of("plate", "needle", upright, np.array([0.47, 0.1, 0.05]))
+    normals = answer.normals.reshape(-1, 3)
+    assert len(normals) >= 2
+    # out over the nearest edge of the plate, by the rest of its width and the needle's radius
+    assert np.abs(normals - [1.0, 0.0, 0.0]).max() < 0.2
+    assert -answer.gaps.min() == pytest.approx(0.04, rel=0.05)
+
+
+def test_bodies_of_one_direction_are_made_disjoint_by_the_deepest_contact() -> None:
+    """A hook that lies 4 mm deep on a plate of 30 mm, at all places of it."""
+    for x in np.linspace(-0.3, 0.3, 7):
+        turns = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
+        answer = contacts_of("plate", "hook", turns, np.array([x, 0.0, 0.1 + 0.015 - 0.004]))
+        np.testing.assert_allclose(answer.normals.reshape(-1, 3), [[0.0, 0.0, 1.0]] * len(answer.gaps), atol=1e-12)
+        assert len(answer.gaps) >= 4 and answer.gaps.min() == pytest.approx(-0.004, abs=1e-12)
+        assert answer.missed_depth_bound[0] == pytest.approx(0.004, rel=1e-3)
