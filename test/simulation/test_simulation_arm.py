@@ -167,7 +167,7 @@ def test_the_vase_breaks_at_the_impact_and_not_before() -> None:
         if (a == vase and b in arm) or (b == vase and a in arm)
     ]
     assert touching and 0 <= broken - touching[0] <= 3, "as soon as they touch"
-    assert run.exchanges[-1].report.fragments > 20 + len(MOVING)
+    assert run.exchanges[-1].report.fragments > 12 + len(MOVING)
 
 
 def test_the_arm_follows_its_swing_exactly_and_yields_by_millimetres_at_an_impact() -> None:
