@@ -92,7 +92,7 @@ class CollisionWorld:
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
         self._surfaces: ElementTable | None = None
         self._surfaces_of = self._what_is_remembered_of()
-        self._whole, self._whole_of = SurfaceTable(), (self._registry, self._registry.renumbered)
+        self._whole, self._whole_of = SurfaceTable(), (self._registry, self._registry.changes)
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
@@ -308,10 +308,10 @@ class CollisionWorld:
         return self._registry.geometry.shapes if has_edges(self.settings) else NO_SHAPES
 
     def _whole_surfaces(self) -> SurfaceTable | None:
-        """Surfaces of concave fragments, likewise built on demand."""
+        """Surfaces of concave fragments, likewise built on demand; as they are divided now, whenever that is."""
         if not has_edges(self.settings):
             return None
-        holds_for = self._registry, self._registry.renumbered
+        holds_for = self._registry, self._registry.changes
         if self._whole_of != holds_for:
             self._whole, self._whole_of = SurfaceTable(), holds_for
         return self._whole

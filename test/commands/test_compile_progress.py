@@ -15,7 +15,10 @@ from fracture_collision.process.compile_progress import report_compilation
 
 @pytest.fixture
 def reporting(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
-    """A reporter of its own with intervals of milliseconds."""
+    """A reporter of its own with intervals of milliseconds, alone: commands tested before may have left one."""
+    others = list(compile_progress._reporters)
+    for other in others:
+        event.unregister("numba:compile", other)
     monkeypatch.setattr(compile_progress, "FIRST", 0.01)
     monkeypatch.setattr(compile_progress, "EVERY", 0.02)
     monkeypatch.setattr(compile_progress, "_reporters", [])
@@ -24,6 +27,8 @@ def reporting(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture)
     (reporter,) = compile_progress._reporters
     yield caplog
     event.unregister("numba:compile", reporter)
+    for other in others:
+        event.register("numba:compile", other)
 
 
 def lines(caplog: pytest.LogCaptureFixture) -> list[str]:

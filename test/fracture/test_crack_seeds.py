@@ -12,7 +12,8 @@ from fracture_collision.world import CollisionWorld, Settings
 from fracture_collision.world.inspection import EVERY_CONTACT
 
 EPSILON = 0.05  # [R]
-SEEDED = Settings(threads=1, neighbour_lists=False, penetration_tolerance=EPSILON)
+# Seeds are samples; with edges, deep pairs have contacts of whole surfaces instead.
+SEEDED = Settings(threads=1, surfaces="sampled", neighbour_lists=False, penetration_tolerance=EPSILON)
 EVERYTHING = SEEDED._replace(contacts_per_pair=EVERY_CONTACT)
 NEAREST = {"normals": "nearest"}  # gaps are then the depths that the bound refers to; along turned normals they are not
 Contact = tuple[float, ...]

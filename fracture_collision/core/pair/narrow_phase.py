@@ -304,7 +304,7 @@ def query_pairs(
     found = PairContacts(counts, bounds, visits, exhausted, *columns)
     if scene.whole is not None:
         unlimited = np.flatnonzero((stands_at < 0) & (shares == UNSHARED))
-        work = unlimited, scene.geometry.shapes
+        work = scene.geometry.shapes, unlimited
         rules = Rule(*rule[:-1], limits.contacts_per_pair), limits.contacts
         found, parted = part_interlocked(pools, scene.whole, step, scene.motion, work, rules, found, (scratch, crew))
         search.out.is_ahead[parted] = True

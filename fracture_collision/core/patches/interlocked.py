@@ -1,12 +1,14 @@
-"""Contacts of pairs of which one is concave, where they are deep in each other: one direction for their whole surfaces.
+"""Contacts of pairs of which one is concave, where their surfaces overlap: what parts them, part by part.
 
 Each sample that is deep in the other takes the direction to its own nearest face. Where a body is thinner than the
-others are deep, or its faces are flush, these directions contradict each other, and hold the pair where it is. Of all
-directions found, that is taken along which the whole surfaces overlap least (facing_points.py): moving by that much
-makes them disjoint, so it bounds the depth of every point, too. What was found along other directions stays where that
-translation leaves it in contact.
+others are deep, or its faces are flush, these directions contradict each other, and hold the pair where it is. Coarse
+triangles may pierce each other with no sample inside. So the contacts found are tried: b is moved by the least
+translation that satisfies them. Where no edge of one surface passes through the other then (piercing.py), they suffice,
+and no point of either is deeper than that translation is long.
 
-Coarse triangles may pierce each other with no sample inside. Then the directions are those of the faces pierced.
+Else each overlap that remains gets one direction: of the faces pierced, those found, and that in which the overlap
+shrinks fastest, the one along which its two sides overlap least (facing_points.py). Its corners there are contacts
+more, and the next translation satisfies them, too: so the directions of all overlaps are chosen together.
 """
 
 from __future__ import annotations
@@ -33,15 +35,19 @@ from fracture_collision.core.memory.kinds import TETRAHEDRA, WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import GrowableArray, Pools
 from fracture_collision.core.memory.rotations import turned_back
-from fracture_collision.core.patches.facing_points import facing_points
+from fracture_collision.core.patches.facing_points import FacingPoints, Posed, facing_points
+from fracture_collision.core.patches.least_translation import least_translation
 from fracture_collision.core.patches.pair_contacts import (
     MOST_TURN,
+    MOVED,
+    ONE_PLACE,
     Wanted,
     listed_patch,
     posed_at,
     put_contact,
     seen_from,
 )
+from fracture_collision.core.patches.piercing import overlaps_of, pierced_pairs
 from fracture_collision.core.patches.shapes import Shapes, triangles_of
 from fracture_collision.core.patches.surface import Surface, make_surface
 from fracture_collision.core.search.kept_answer import PairContacts
@@ -49,24 +55,30 @@ from fracture_collision.core.search.neighbour_lists import IN_PLACE, displacemen
 from fracture_collision.core.search.scratch import Scratch
 from fracture_collision.grouping import begins_of
 
-# Deeper than so many detection tolerances, samples may be past the middle of something thin. Looking at all pairs
-# deeper than one doubles the time of a step of bricks.
+# Deeper than so many detection tolerances, samples may be past the middle of something thin: they are not asked.
 DEEP = 5.0
-# Directions tried are at least so far from each other, by the cosine; at most so many.
-APART, MOST_TRIED = 0.99, 8
-# The overlap of the whole is accepted up to this times the deepest contact, and the other share of it at least: else it
-# is of another place. And so many tolerances more.
-MOST_TIMES, LEAST_TIMES, MORE = 3.0, 0.3, 2.0
-# But where deep contacts push in opposite directions, by the cosine, none of them is the way out, and that of the whole
-# is.
-OPPOSITE = -0.5
+# Directions of one kind tried are at least so far from each other, by the cosine; at most so many.
+APART, MOST_TRIED = 0.99, 4
+# Directions tried for an overlap are so near to that in which it shrinks fastest, by the cosine.
+SAME = 0.5
+# One body passes right through the other where what enters and what leaves are alike: the area left is less than this.
+# Then no direction undoes the overlap alone, and whole surfaces are parted.
+THROUGH = 0.3
 # Overlaps are alike within this share of the tolerance.
 ALIKE = 0.25
-# Contacts across that of the whole, by the cosine, and no deeper than the tolerance, are patches of their own.
+# Those up to this share of the tolerance need no contacts; a translation is longer by the other, so that what it parts
+# is apart.
+LEAST, SLACK = 0.5, 0.1
+# Translations tried, and directions added, at most.
+MOST_TURNS, MOST_ADDED = 4, 8
+# One direction for the whole surfaces is taken if they overlap along it by no more than this times the deepest contact
+# and so many tolerances.
+MOST_TIMES, MORE = 3.0, 2.0
+# Contacts across those added, by the cosine, and no deeper than the tolerance, stay where samples are not asked.
 OTHER = 0.5
 # Who wants more contacts of a pair wants all that were found.
 MOST_WANTED = 256
-_LEAVE = -1
+_LEAVE, _ALL = -1, -2
 
 
 class Surfaces(NamedTuple):
@@ -78,7 +90,7 @@ class Surfaces(NamedTuple):
 
 
 class SurfaceTable:
-    """Surfaces of fragments, made when first asked for. Valid as long as no row of the pools is renumbered."""
+    """Surfaces of fragments, made when first asked for. Valid until a fragment breaks: others are divided anew."""
 
     def __init__(self) -> None:
         self._begin, self._end = np.full((0, 3), -1), np.full((0, 3), -1)
@@ -112,16 +124,16 @@ class _Out(NamedTuple):
 
 
 def part_interlocked(
-    pools: Pools, table: SurfaceTable, step: Step, motion: Motion, work: tuple[np.ndarray, Shapes],
+    pools: Pools, table: SurfaceTable, step: Step, motion: Motion, work: tuple[Shapes, np.ndarray],
     rules: tuple[Rule, int], found: PairContacts, own: tuple[tuple[Scratch, ...], Crew],
 ) -> tuple[PairContacts, np.ndarray]:  # fmt: skip
     """`found` with contacts of whole surfaces, where a concave pair is deep or pierces; and which pairs' changed.
 
-    work: pairs `todo` (m,) that `found` was searched for, and the Shapes that say which are convex; rules: a Rule with
-    epsilon and near as shares of the smaller R, its limit that of each pair, and how many contacts all may have; own: a
-    Scratch for each thread of the Crew.
+    work: the Shapes, and the pairs (m,) that `found` was searched for; rules: a Rule with epsilon and near as shares of
+    the smaller R, its limit that of each pair, and how many contacts all may have; own: a Scratch for each thread of
+    the Crew.
     """
-    (todo, shapes), (rule, most), (scratch, crew) = work, rules, own
+    (shapes, todo), (rule, most), (scratch, crew) = work, rules, own
     offsets = begins_of(found.counts)
     chosen = np.empty(len(todo), np.int64)
     used = _candidates(pools, (step, todo), shapes.is_convex, rule, (found.gaps, offsets), scratch[0], chosen)
@@ -168,8 +180,12 @@ def _candidates(pools, pairs, is_convex, rule, found, scratch, out):
         # samples of fragments are as close to each other as their faces are large
         if not is_one and (kind_a != TETRAHEDRA or kind_b != TETRAHEDRA):
             pair = put_pair(step, p, scratch.rotation, scratch.translation)
-            scratch.toward[0] = scratch.toward[1] = scratch.toward[2] = 0.0
-            is_one = gap_of_hulls(pools, pair, 0.0, scratch.toward, scratch)[0] < -rule.epsilon * radius
+            moved = math.inf
+            if share_a_body(pools, pair.a, pair.b):
+                moved = MOVED * displacement(pools, pair, IN_PLACE)
+            if moved > rule.epsilon * radius:
+                scratch.toward[0] = scratch.toward[1] = scratch.toward[2] = 0.0
+                is_one = gap_of_hulls(pools, pair, 0.0, scratch.toward, scratch)[0] < -rule.epsilon * radius
         if is_one:
             out[used] = p
             used += 1
@@ -205,17 +221,95 @@ def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
         )
 
 
+class _Planes(NamedTuple):
+    """Half-spaces n . x >= need of b's translations x, those of contacts found first."""
+
+    normals: np.ndarray  # (c + MOST_ADDED, 3) unit, from a to b
+    needs: np.ndarray  # (c + MOST_ADDED,) [m]
+    at: np.ndarray  # (c + MOST_ADDED, 3) [m] b's translation when it was found
+
+
+class _Parted(NamedTuple):
+    """What was tried."""
+
+    used: int  # half-spaces
+    x: np.ndarray  # (3,) [m] b's translation
+    is_apart: bool  # where b is moved by it: tried
+
+
+_NOT_PARTED = _Parted(0, np.zeros(3), False)
+
+
 @allocating_kernel
 def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
-    """Write the contacts of the whole surfaces of a Pair to a Sink; marks which of the known ones stay.
+    """Write contacts that part what overlaps of a Pair to a Sink; marks which of the known ones stay.
 
     wanted: Wanted, the penetration tolerance [m], how many contacts the pair may have; known: normals (c, 3), from a to
     b in the world, and gaps (c,) [m] of all contacts, the pair's rows of these, its bound [m]. Returns (contacts, -1:
     the pair stays as it is; bound [m]).
     """
-    wanted, epsilon, most = wanted
+    wanted, _, most_contacts = wanted
     tolerance = wanted.near
-    normals, gaps, (begin, end), bound = known
+    normals, gaps, (begin, end), _ = known
+    rotation = moving.rotations[moving.j]
+    placings = _placings(moving)
+    a = posed_at(_surface_at(surfaces, pair.a), placings[0], 0.0)
+    b = posed_at(_surface_at(surfaces, pair.b), placings[1], 0.0)
+    size = min(_size(a.corners), _size(b.corners))
+    found, deepest = end - begin, 0.0
+    rows = found + MOST_ADDED
+    planes = _Planes(np.empty((rows, 3)), np.empty(rows), np.empty((rows, 3)))
+    for c in range(found):
+        n = normals[begin + c]
+        planes.normals[c] = turned_back(rotation, n[0], n[1], n[2])
+        planes.needs[c] = -gaps[begin + c]
+        deepest = max(deepest, -gaps[begin + c])
+    given = planes.normals[:found].copy()
+    # pieces in place interlock: what parts them sideways is no way out
+    likely = MOST_TIMES * deepest + MORE * tolerance
+    most = max(likely, wanted.moved)
+    rules = given, placings, wanted, size, most
+    # samples that are deep in something thin may be past its middle, and contradict each other
+    x, is_possible = least_translation(given, planes.needs[:found])
+    is_asked = is_possible and deepest <= DEEP * tolerance
+    parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
+    first = found if parted.is_apart else 0
+    if not parted.is_apart:
+        parted = _part((a, b), np.zeros(3), (0, 0), deepest > DEEP * tolerance, rules, planes)
+    if not parted.is_apart and wanted.moved < math.inf:
+        parted = _part_back((a, b), rules, planes)
+    if wanted.moved > likely and (not parted.is_apart or _along(parted.x, parted.x) > likely * likely):
+        whole = _part_whole((a, b), parted, rules, planes)
+        if whole.is_apart or not parted.is_apart:
+            parted, first = whole, 0
+    x = parted.x
+    bound = min(_box_overlap(a, b), wanted.moved)
+    if parted.is_apart:
+        bound = min(bound, math.sqrt(_along(x, x)))
+    count = 0
+    for k in range(first, parted.used):
+        each = min(max(len(sink.contacts) // (parted.used - first), 1), len(sink.contacts) - count)
+        rest = Sink(sink.contacts[count : count + each], sink.ids[count : count + each])
+        count += _put_points((a, b), placings, (planes.normals[k], planes.needs[k], planes.at[k]), wanted, size, rest)
+    if count == 0:
+        return _LEAVE, bound
+    room = most_contacts - count
+    for c in range(begin, end):
+        n, is_left = given[c - begin], True
+        if first < found:
+            gap = gaps[c] + x[0] * n[0] + x[1] * n[1] + x[2] * n[2]
+            is_left = gaps[c] >= -tolerance and -LEAST * tolerance <= gap <= tolerance
+            for k in range(first, parted.used):
+                m = planes.normals[k]
+                is_left = is_left and abs(m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) < OTHER
+        stays[c] = is_left and room > 0
+        room -= stays[c]
+    return count, bound
+
+
+@kernel
+def _placings(moving):
+    """The Placing of both, now and at the end of the step; only now where they turn by much."""
     i, j, rotations, positions, motion = moving
     turns, places = np.empty((6, 3, 3)), np.empty((6, 3))
     fast = max(turned_in(motion, i, motion.time), turned_in(motion, j, motion.time)) if motion.time > 0.0 else math.inf
@@ -225,48 +319,219 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
             put_pose(motion, rotations, positions, k, motion.time, turns[row], places[row])
         else:
             turns[row], places[row] = rotations[k], positions[k]
-    placings = seen_from(turns, places, 0), seen_from(turns, places, 3)
-    of_a, of_b = _surface_at(surfaces, pair.a), _surface_at(surfaces, pair.b)
-    a, b = posed_at(of_a, placings[0], 0.0), posed_at(of_b, placings[1], 0.0)
-    size = min(_size(a.corners), _size(b.corners))
-    ways, tried, deepest = np.empty((2 * MOST_TRIED + 1, 3)), 0, 0.0
-    if end > begin:
-        tried, deepest = _add_found(normals[begin:end], gaps[begin:end], rotations[j], ways)
-    is_deep = deepest > DEEP * tolerance
-    if not is_deep:
-        before, tried = tried, _add_pierced(a, b, ways, tried)
-        if tried == before:
-            return _LEAVE, bound
-    best, least = -1, math.inf
+    return seen_from(turns, places, 0), seen_from(turns, places, 3)
+
+
+@kernel
+def _part(posed, x, rows, is_inside, rules, planes):
+    """Add half-spaces until two Posed surfaces are apart: a _Parted.
+
+    x: least translation by those there are; rows: their number, and that of those of contacts found; is_inside: one may
+    be inside the other, and pierce nothing; rules: directions (c, 3) of contacts found, the Placings, Wanted, size of
+    the smaller [m], how long the translation may be [m].
+    """
+    given, _, wanted, size, most = rules
+    a, b = posed
+    used, first = rows
+    for turn in range(MOST_TURNS):
+        _lengthen(x, SLACK * wanted.near)
+        there = _shifted(b, x)
+        pairs = pierced_pairs(a, there)
+        if len(pairs) == 0:
+            return _Parted(used, x, turn > 0 or not is_inside)
+        overlaps = overlaps_of(a, there, pairs)
+        for k in range(len(overlaps.spreads)):
+            n, overlap = _way_out((a, there), pairs, overlaps, k, given, (x, wanted, size))
+            if not overlap < math.inf or used == first + MOST_ADDED:
+                return _Parted(used, x, False)
+            planes.normals[used], planes.needs[used], planes.at[used] = n, overlap + _along(x, n), x
+            used += 1
+        x, is_possible = least_translation(planes.normals[:used], planes.needs[:used])
+        if not is_possible or _along(x, x) > most * most:
+            break
+    return _Parted(used, x, False)
+
+
+@kernel
+def _part_back(posed, rules, planes):
+    """A _Parted of first the direction back to where the two were one, if that is near enough."""
+    _, placings, _, size, most = rules
+    a, b = posed
+    n, place, length = np.empty(3), placings[0].positions[0], 0.0
+    for d in range(3):
+        n[d] = 0.5 * max(a.corners[:, d].min(), b.corners[:, d].min())
+        n[d] += 0.5 * min(a.corners[:, d].max(), b.corners[:, d].max())
+    x, y, z = turned_back(placings[0].rotations[0], n[0] - place[0], n[1] - place[1], n[2] - place[2])
+    n[0], n[1], n[2] = n[0] - x, n[1] - y, n[2] - z
+    length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    if not 0.0 < length <= most:
+        return _NOT_PARTED
+    n /= length
+    overlap = _deepest(facing_points(a, b, n, 0.0, size), -(1.0 + ONE_PLACE) * length)
+    planes.normals[0], planes.needs[0], planes.at[0] = n, overlap, np.zeros(3)
+    return _part(posed, n * overlap, (1, 0), False, rules, planes)
+
+
+@kernel
+def _part_whole(posed, parted, rules, planes):
+    """A _Parted of first that direction along which whole surfaces overlap least, if that is less than another's."""
+    given, _, wanted, size, most = rules
+    if parted.is_apart:
+        most = min(most, math.sqrt(_along(parted.x, parted.x)))
+    a, b = posed
+    x = np.zeros(3)
+    pairs = pierced_pairs(a, b)
+    n, overlap = _way_out(posed, pairs, overlaps_of(a, b, pairs), _ALL, given, (x, wanted, size))
+    if not overlap < most:
+        return _NOT_PARTED
+    planes.normals[0], planes.needs[0], planes.at[0] = n, overlap, x
+    # faces nearly along the direction have no overlap along it
+    parted = _part(posed, n * overlap, (1, 0), False, rules, planes)
+    if parted.is_apart:
+        return parted
+    return _Parted(1, n * overlap, False)
+
+
+@kernel
+def _put_points(posed, placings, plane, wanted, size, sink):
+    """Write the corners of the facing surfaces that a half-space is of to a Sink; returns how many.
+
+    plane: n, its need [m], b's translation (3,) [m] when it was found.
+    """
+    n, need, x = plane
+    along = _along(x, n)
+    if abs(need - along) + abs(along) <= LEAST * wanted.near:
+        return 0
+    # where other directions move b farther along this one, its corners are apart now, and listed all the same
+    near = wanted.near + max(-need, 0.0)
+    found = facing_points(posed[0], _shifted(posed[1], x), n, near + along, size)
+    deepest = -need - ALIKE * wanted.near  # what is deeper is of other overlaps
+    kept = np.flatnonzero(found.gaps - along >= deepest)
+    now = FacingPoints(found.points[kept], found.gaps[kept] - along, found.features[kept])
+    patch = listed_patch(
+        now, placings, (0.0, 0.0), n, 0, Wanted(near, wanted.moved, len(sink.contacts)), size
+    )  # fmt: skip
+    for k in range(len(patch.gaps)):
+        # straight on b, then back with it
+        other = patch.others[k] + along * n - x
+        put_contact(sink, k, patch.points[k], other, n, patch.numbers[k])
+    return len(patch.gaps)
+
+
+@inlined_kernel
+def _along(x, n):
+    return x[0] * n[0] + x[1] * n[1] + x[2] * n[2]
+
+
+@kernel
+def _way_out(posed, pairs, overlaps, part, given, rules):
+    """(direction (3,), how far [m] b must be moved along it to undo one overlap).
+
+    part: the number of the overlap, or _ALL; given (c, 3): directions of contacts found; rules: how far (3,) [m] b
+    was moved, Wanted, size of the smaller [m].
+    """
+    (a, b), (x, wanted, size) = posed, rules
+    toward, is_through = np.zeros(3), True
+    if part != _ALL:
+        toward[:] = overlaps.areas[part]
+        length = math.sqrt(toward[0] * toward[0] + toward[1] * toward[1] + toward[2] * toward[2])
+        is_through = not length > THROUGH * overlaps.spreads[part]
+        if not is_through:
+            toward /= length
+    ways, tried = np.empty((2 * MOST_TRIED + 1, 3)), 0
+    of_a, of_b = np.zeros(len(a.triangles)), np.zeros(len(b.triangles))
+    for k in range(len(pairs)):
+        t, s = pairs[k]
+        if part == _ALL or overlaps.of_a[t] == part:
+            of_a[t], of_b[s] = _area(a, t), _area(b, s)
+    areas = np.append(of_a, of_b)
+    for k in np.argsort(-areas, kind="mergesort"):
+        if not areas[k] > 0.0 or tried == MOST_TRIED:
+            break
+        n = a.normals[k].copy() if k < len(of_a) else -b.normals[k - len(of_a)]
+        if is_through or n[0] * toward[0] + n[1] * toward[1] + n[2] * toward[2] > SAME:
+            tried = _add_new(ways, tried, n[0], n[1], n[2])
+    most = tried + MOST_TRIED
+    for c in range(len(given)):
+        n = given[c]
+        if tried < most and (is_through or n[0] * toward[0] + n[1] * toward[1] + n[2] * toward[2] > SAME):
+            tried = _add_new(ways, tried, n[0], n[1], n[2])
+    if not is_through:
+        tried = _add_new(ways, tried, toward[0], toward[1], toward[2])
+        a, b = _part_of(a, overlaps.of_a, part), _part_of(b, overlaps.of_b, part)
+    best, least = 0, math.inf
     for k in range(tried):
-        overlap = _overlap(a, b, ways[k], wanted.moved, size)
-        if overlap < least - ALIKE * tolerance:
+        lowest = -math.inf if is_through else _along(x, ways[k]) - MOVED * wanted.moved - ONE_PLACE * size
+        overlap = _deepest(facing_points(a, b, ways[k], 0.0, size), lowest)
+        if 0.0 < overlap < least - ALIKE * wanted.near:
             best, least = k, overlap
-    bound = max(bound, min(least, wanted.moved))
-    is_jammed = False
-    if is_deep and least > MOST_TIMES * deepest + MORE * tolerance:
-        is_jammed = _jam(normals[begin:end], gaps[begin:end], DEEP * tolerance)
-        if not is_jammed:
-            return _LEAVE, bound
-    if least < LEAST_TIMES * deepest - tolerance or not least > (epsilon if begin == end else tolerance):
-        return _LEAVE, bound
-    n = ways[best].copy()
-    points = facing_points(a, b, n, tolerance, size)
-    patch = listed_patch(points, placings, (0.0, least), n, 0, wanted, size)
-    count = len(patch.gaps)
-    if not 0 < count <= len(sink.contacts):
-        return _LEAVE, bound
-    for k in range(count):
-        put_contact(sink, k, patch.points[k], patch.others[k], n, patch.numbers[k])
-    shift = max(-patch.gaps.min(), 0.0) + MORE * tolerance
-    left = most - count
-    for c in range(begin, end):
-        x, y, z = turned_back(rotations[j], normals[c, 0], normals[c, 1], normals[c, 2])
-        along = x * n[0] + y * n[1] + z * n[2]
-        is_left = gaps[c] >= -tolerance and gaps[c] + shift * along <= tolerance
-        stays[c] = is_left and not is_jammed and abs(along) < OTHER and left > 0
-        left -= stays[c]
-    return count, bound
+    return ways[best].copy(), least
+
+
+@kernel
+def _deepest(found, lowest):
+    """The largest overlap [m] of FacingPoints, of those whose gap is no less than `lowest` [m]."""
+    overlap = 0.0
+    for gap in found.gaps:
+        if gap >= lowest:
+            overlap = max(overlap, -gap)
+    return overlap
+
+
+@kernel
+def _part_of(posed, of, part):
+    """The Posed surface of the triangles of one overlap."""
+    rows = np.flatnonzero(of == part)
+    row, corner = np.full(len(of), -1, np.int32), np.full(len(posed.corners), -1, np.int32)
+    triangles, used = np.empty((len(rows), 3), np.int32), 0
+    for k in range(len(rows)):
+        row[rows[k]] = k
+        for i in range(3):
+            c = posed.triangles[rows[k], i]
+            if corner[c] < 0:
+                corner[c] = used
+                used += 1
+            triangles[k, i] = corner[c]
+    corners, is_sharp = np.empty((used, 3)), np.empty(used, np.bool_)
+    for c in range(len(corner)):
+        if corner[c] >= 0:
+            corners[corner[c]], is_sharp[corner[c]] = posed.corners[c], posed.is_sharp[c]
+    edges, beside, count = np.empty_like(posed.edges), np.empty_like(posed.beside), 0
+    for e in range(len(edges)):
+        left, right = row[posed.beside[e, 0]], row[posed.beside[e, 1]]
+        if max(left, right) >= 0:
+            edges[count, 0], edges[count, 1] = corner[posed.edges[e, 0]], corner[posed.edges[e, 1]]
+            beside[count, 0], beside[count, 1] = left if left >= 0 else right, right if right >= 0 else left
+            count += 1
+    return Posed(corners, triangles, posed.normals[rows], edges[:count].copy(), beside[:count].copy(), is_sharp)
+
+
+@kernel
+def _shifted(posed, x):
+    corners = np.empty_like(posed.corners)
+    for k in range(len(corners)):
+        for d in range(3):
+            corners[k, d] = posed.corners[k, d] + x[d]
+    return Posed(corners, posed.triangles, posed.normals, posed.edges, posed.beside, posed.is_sharp)
+
+
+@inlined_kernel
+def _lengthen(x, by):
+    length = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+    if length > 0.0:
+        for d in range(3):
+            x[d] *= 1.0 + by / length
+
+
+@kernel
+def _box_overlap(a, b):
+    """How far [m] b must be moved along an axis at most."""
+    least = math.inf
+    for d in range(3):
+        low_a, high_a = a.corners[:, d].min(), a.corners[:, d].max()
+        low_b, high_b = b.corners[:, d].min(), b.corners[:, d].max()
+        least = min(least, high_a - low_b, high_b - low_a)
+    return max(least, 0.0)
 
 
 @kernel
@@ -286,47 +551,6 @@ def _size(corners):
     return size
 
 
-@kernel
-def _overlap(a, b, n, moved, size):
-    """How far [m] b must be moved along n so that the surfaces are disjoint; moved [m]: see Wanted."""
-    found = facing_points(a, b, n, 0.0, size)
-    overlap = 0.0
-    for gap in found.gaps:
-        if gap >= -(1.5 * moved + 1e-6 * size):
-            overlap = max(overlap, -gap)
-    return overlap
-
-
-@kernel
-def _add_found(normals, gaps, rotation, ways):
-    """Write distinct normals of contacts in b's frame by depth, then their mean: (their number, the deepest [m])."""
-    order, tried, mean = np.argsort(gaps, kind="mergesort"), 0, np.zeros(3)
-    for c in order:
-        x, y, z = turned_back(rotation, normals[c, 0], normals[c, 1], normals[c, 2])
-        depth = max(-gaps[c], 0.0)
-        mean[0] += depth * x
-        mean[1] += depth * y
-        mean[2] += depth * z
-        if tried < MOST_TRIED:
-            tried = _add_new(ways, tried, x, y, z)
-    length = math.sqrt(mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2])
-    if length > 0.0:
-        tried = _add_new(ways, tried, mean[0] / length, mean[1] / length, mean[2] / length)
-    return tried, max(-gaps[order[0]], 0.0)
-
-
-@kernel
-def _jam(normals, gaps, depth):
-    """Whether contacts deeper than `depth` [m] push in opposite directions."""
-    for c in range(len(gaps)):
-        for d in range(c):
-            if max(gaps[c], gaps[d]) < -depth:
-                m, n = normals[c], normals[d]
-                if m[0] * n[0] + m[1] * n[1] + m[2] * n[2] < OPPOSITE:
-                    return True
-    return False
-
-
 @inlined_kernel
 def _add_new(ways, tried, x, y, z):
     """Add a direction to the first `tried` of `ways`, if it is far from all of them; returns their number."""
@@ -338,58 +562,6 @@ def _add_new(ways, tried, x, y, z):
 
 
 @kernel
-def _add_pierced(a, b, ways, tried):
-    """Add directions from a to b of faces that an edge of the other pierces, the largest first; returns how many."""
-    low, high = np.full(3, -math.inf), np.full(3, math.inf)
-    for d in range(3):
-        low[d] = max(a.corners[:, d].min(), b.corners[:, d].min())
-        high[d] = min(a.corners[:, d].max(), b.corners[:, d].max())
-    in_a, in_b = _within(a, low, high), _within(b, low, high)
-    of_a, of_b = np.zeros(len(a.triangles)), np.zeros(len(b.triangles))
-    for t in in_a:
-        for s in in_b:
-            if _boxes_meet(a, t, b, s):
-                if _pierces(a, t, b, s):
-                    of_b[s] = _area(b, s)
-                if _pierces(b, s, a, t):
-                    of_a[t] = _area(a, t)
-    area = np.append(of_a, of_b)
-    most = tried + MOST_TRIED
-    for k in np.argsort(-area, kind="mergesort"):
-        if not area[k] > 0.0 or tried == most:
-            break
-        n = a.normals[k].copy() if k < len(of_a) else -b.normals[k - len(of_a)]
-        tried = _add_new(ways, tried, n[0], n[1], n[2])
-    return tried
-
-
-@kernel
-def _within(posed, low, high):
-    """Triangles (k,) whose boxes meet a box."""
-    out, used = np.empty(len(posed.triangles), np.int64), 0
-    for t in range(len(posed.triangles)):
-        p, q, r = posed.triangles[t]
-        meets = True
-        for d in range(3):
-            x, y, z = posed.corners[p, d], posed.corners[q, d], posed.corners[r, d]
-            meets = meets and min(x, y, z) <= high[d] and max(x, y, z) >= low[d]
-        if meets:
-            out[used] = t
-            used += 1
-    return out[:used]
-
-
-@inlined_kernel
-def _boxes_meet(a, t, b, s):
-    meet = True
-    for d in range(3):
-        p, q, r = a.corners[a.triangles[t, 0], d], a.corners[a.triangles[t, 1], d], a.corners[a.triangles[t, 2], d]
-        u, v, w = b.corners[b.triangles[s, 0], d], b.corners[b.triangles[s, 1], d], b.corners[b.triangles[s, 2], d]
-        meet = meet and min(p, q, r) <= max(u, v, w) and max(p, q, r) >= min(u, v, w)
-    return meet
-
-
-@kernel
 def _area(posed, t):
     """Twice the area [m2] of a triangle."""
     p, q, r = posed.triangles[t]
@@ -398,29 +570,6 @@ def _area(posed, t):
     vx, vy, vz = c[r, 0] - c[p, 0], c[r, 1] - c[p, 1], c[r, 2] - c[p, 2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     return math.sqrt(x * x + y * y + z * z)
-
-
-@kernel
-def _pierces(a, t, b, s):
-    """Whether an edge of triangle t of a passes through triangle s of b."""
-    u, v, w = b.corners[b.triangles[s, 0]], b.corners[b.triangles[s, 1]], b.corners[b.triangles[s, 2]]
-    for k in range(3):
-        p, q = a.corners[a.triangles[t, k]], a.corners[a.triangles[t, (k + 1) % 3]]
-        if _volume(u, v, w, p) * _volume(u, v, w, q) >= 0.0:
-            continue
-        x, y, z = _volume(p, q, u, v), _volume(p, q, v, w), _volume(p, q, w, u)
-        if (x > 0.0 and y > 0.0 and z > 0.0) or (x < 0.0 and y < 0.0 and z < 0.0):
-            return True
-    return False
-
-
-@inlined_kernel
-def _volume(a, b, c, d):
-    """Six times the signed volume [m3] of a tetrahedron."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    wx, wy, wz = d[0] - a[0], d[1] - a[1], d[2] - a[2]
-    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
 
 
 @kernel

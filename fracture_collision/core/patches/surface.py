@@ -37,7 +37,7 @@ class Surface(NamedTuple):
 
 @kernel
 def make_surface(given):
-    """The Surface of triangles `given` (n, 9) [m], without those that have no area, and edges of one triangle alone."""
+    """The Surface of triangles `given` (n, 9) [m], without those that have no area."""
     n = len(given)
     corners, triangles, normals = np.empty((3 * n, 3)), np.empty((n, 3), np.int32), np.empty((n, 3))
     places = _room(3 * n)
@@ -106,12 +106,13 @@ def _convex_edges(corners, triangles, normals):
     """Convex edges (e, 2) and the triangles (e, 2) beside them.
 
     Where a surface touches itself, more than two triangles share an edge: each is paired with the first that has the
-    edge the other way round and is not paired there yet.
+    edge the other way round and is not paired there yet. Where cracks are curved, one triangle may have two others
+    along one side: all three sides are edges then, with themselves at both sides.
     """
     n = len(triangles)
     places = _room(3 * n)
     at_place, is_open = np.full(places, _NONE, np.int32), np.ones(3 * n, np.bool_)
-    edges, beside, count = np.empty((3 * n // 2 + 1, 2), np.int32), np.empty((3 * n // 2 + 1, 2), np.int32), 0
+    edges, beside, count = np.empty((3 * n, 2), np.int32), np.empty((3 * n, 2), np.int32), 0
     for t in range(n):
         for i in range(3):
             p, q = triangles[t, i], triangles[t, (i + 1) % 3]
@@ -126,12 +127,18 @@ def _convex_edges(corners, triangles, normals):
                 at_place[place] = 3 * t + i
                 continue
             side = at_place[place]
-            is_open[side] = False
+            is_open[side] = is_open[3 * t + i] = False
             s = side // 3
             if _is_convex(corners[q], corners[p], normals[s], normals[t]):
                 edges[count, 0], edges[count, 1] = q, p
                 beside[count, 0], beside[count, 1] = s, t
                 count += 1
+    for side in range(3 * n):
+        if is_open[side]:
+            t, i = side // 3, side % 3
+            edges[count, 0], edges[count, 1] = triangles[t, i], triangles[t, (i + 1) % 3]
+            beside[count, 0] = beside[count, 1] = t
+            count += 1
     return edges[:count].copy(), beside[:count].copy()
 
 

@@ -1,0 +1,332 @@
+"""Where the surfaces of two fragments pierce each other, exactly: pairs of triangles, and the parts that are inside.
+
+Two closed surfaces of which neither holds the other have a point in common only where an edge of one passes through a
+triangle of the other. Where none does, they are apart; that is a proof, whatever the density of either mesh.
+
+Triangles that pierce each other, and those that hang together inside the other body, bound one overlap of the two. Its
+area is the integral over the line in which the surfaces meet, half of r x dr: seen from a, the direction in which the
+overlap shrinks fastest when b is moved along it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+
+_OUTSIDE = -1  # of all overlaps
+_MOST_CELLS = 24  # of the grid, along each side
+
+
+class Overlaps(NamedTuple):
+    """Parts in which two fragments overlap, numbered by their first pair of triangles."""
+
+    of_a: np.ndarray  # (triangles of a,) int64: the overlap that it pierces or bounds, or -1
+    of_b: np.ndarray  # (triangles of b,) int64
+    areas: np.ndarray  # (n, 3) [m2] a's area vector inside b
+    spreads: np.ndarray  # (n,) [m2] area of the lines' cones from their middle: near the area's if there is one line
+
+
+@kernel
+def pierced_pairs(a, b):
+    """Pairs (k, 2) int64 of triangles of two Posed surfaces of which an edge of one passes through the other."""
+    low, high = np.empty(3), np.empty(3)
+    pairs, used = np.empty((16, 2), np.int64), 0
+    for d in range(3):
+        low[d] = max(a.corners[:, d].min(), b.corners[:, d].min())
+        high[d] = min(a.corners[:, d].max(), b.corners[:, d].max())
+        if high[d] < low[d]:
+            return pairs[:0]
+    near_a, near_b = _within(a, low, high), _within(b, low, high)
+    in_a, boxes_a, flat_a = near_a
+    in_b, boxes_b, flat_b = near_b
+    if len(in_a) == 0 or len(in_b) == 0:
+        return pairs[:0]
+    cells, per_cell = np.empty(3, np.int64), np.empty(3)
+    for d in range(3):
+        wide, mean = high[d] - low[d], (boxes_b[:, 3 + d] - boxes_b[:, d]).mean()
+        cells[d] = min(max(int(wide / mean), 1), _MOST_CELLS) if mean > 0.0 else 1
+        per_cell[d] = cells[d] / wide if wide > 0.0 else 0.0
+    begin, entries = _in_cells(boxes_b, low, cells, per_cell)
+    distances, first, last = np.empty(6), np.empty(3, np.int64), np.empty(3, np.int64)
+    for i in range(len(in_a)):
+        box = boxes_a[i]
+        x0, y0, z0, x1, y1, z1 = box[0], box[1], box[2], box[3], box[4], box[5]
+        _cells_of(box, low, cells, per_cell, first, last)
+        for u in range(first[0], last[0] + 1):
+            for v in range(first[1], last[1] + 1):
+                for w in range(first[2], last[2] + 1):
+                    cell = (u * cells[1] + v) * cells[2] + w
+                    for entry in range(begin[cell], begin[cell + 1]):
+                        j = entries[entry]
+                        if boxes_b[j, 0] > x1 or boxes_b[j, 3] < x0 or boxes_b[j, 1] > y1 or boxes_b[j, 4] < y0:
+                            continue
+                        if boxes_b[j, 2] > z1 or boxes_b[j, 5] < z0:
+                            continue
+                        if not _planes_cut(flat_a, i, flat_b, j, distances):
+                            continue
+                        if not _is_first_cell(box, boxes_b[j], low, cells, per_cell, (u, v, w)):
+                            continue
+                        for k in range(6):
+                            if _crossing_at(flat_a, i, flat_b, j, k, distances) >= 0.0:
+                                if used == len(pairs):
+                                    pairs = np.vstack((pairs, np.empty_like(pairs)))
+                                pairs[used, 0], pairs[used, 1] = in_a[i], in_b[j]
+                                used += 1
+                                break
+    return pairs[:used].copy()
+
+
+@kernel
+def _in_cells(boxes, low, cells, per_cell):
+    """Boxes (k, 6) by the cells of a grid that they touch: first entry of each cell, and numbers of boxes."""
+    begin, entries = np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64), np.empty(0, np.int64)
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    for turn in range(2):
+        if turn == 1:
+            total = 0
+            for c in range(len(begin)):
+                total, begin[c] = total + begin[c], total
+            entries = np.empty(total, np.int64)
+        for k in range(len(boxes)):
+            _cells_of(boxes[k], low, cells, per_cell, first, last)
+            for u in range(first[0], last[0] + 1):
+                for v in range(first[1], last[1] + 1):
+                    for w in range(first[2], last[2] + 1):
+                        cell = (u * cells[1] + v) * cells[2] + w
+                        if turn == 1:
+                            entries[begin[cell]] = k
+                        begin[cell] += 1
+    for c in range(len(begin) - 1, 0, -1):
+        begin[c] = begin[c - 1]
+    begin[0] = 0
+    return begin, entries
+
+
+@inlined_kernel
+def _cell(x, d, low, cells, per_cell):
+    return min(max(int((x - low[d]) * per_cell[d]), 0), cells[d] - 1)
+
+
+@inlined_kernel
+def _cells_of(box, low, cells, per_cell, first, last):
+    for d in range(3):
+        first[d] = _cell(box[d], d, low, cells, per_cell)
+        last[d] = _cell(box[3 + d], d, low, cells, per_cell)
+
+
+@inlined_kernel
+def _is_first_cell(box, other, low, cells, per_cell, cell):
+    """Whether the lower corner of what two boxes share is in a cell: they may share several."""
+    is_first = True
+    for d in range(3):
+        is_first = is_first and _cell(max(box[d], other[d]), d, low, cells, per_cell) == cell[d]
+    return is_first
+
+
+@kernel
+def overlaps_of(a, b, pairs):
+    """The Overlaps of two Posed surfaces with these pairs (k, 2) of triangles, k > 0."""
+    cut_a, cut_b = _no_cuts(a), _no_cuts(b)
+    ends = np.empty((len(pairs), 2, 3))
+    distances, point = np.empty(6), np.empty(3)
+    flat_a, flat_b = _flat(a, pairs[:, 0]), _flat(b, pairs[:, 1])
+    for k in range(len(pairs)):
+        t, s = pairs[k]
+        _planes_cut(flat_a, k, flat_b, k, distances)
+        found = 0
+        for edge in range(6):
+            share = _crossing_at(flat_a, k, flat_b, k, edge, distances)
+            if share < 0.0:
+                continue
+            own, row, i, cut = (flat_a, t, edge, cut_a) if edge < 3 else (flat_b, s, edge - 3, cut_b)
+            j = (i + 1) % 3
+            for d in range(3):
+                point[d] = own[k, 3 * i + d] + share * (own[k, 3 * j + d] - own[k, 3 * i + d])
+            is_going_out = distances[edge] < 0.0
+            if share < cut[row, i, 0]:
+                cut[row, i, 0], cut[row, i, 2] = share, 1.0 if is_going_out else 0.0
+            if share > cut[row, i, 1]:
+                cut[row, i, 1], cut[row, i, 3] = share, 0.0 if is_going_out else 1.0
+            for end in range(found, 2):
+                ends[k, end] = point
+            found += 1
+        # along n_a x n_b the inside of b is on the left, as seen from outside a
+        m, n, way = a.normals[t], b.normals[s], 0.0
+        for d in range(3):
+            e, f = (d + 1) % 3, (d + 2) % 3
+            way += (m[e] * n[f] - m[f] * n[e]) * (ends[k, 1, d] - ends[k, 0, d])
+        if way < 0.0:
+            point[:] = ends[k, 0]
+            ends[k, 0] = ends[k, 1]
+            ends[k, 1] = point
+    return _joined(a, b, pairs, ends, (_inside(a, cut_a), _inside(b, cut_b)))
+
+
+@kernel
+def _joined(a, b, pairs, ends, inside):
+    """The Overlaps: triangles that pierce each other, or share a corner inside the other, are of one."""
+    ta, tb, ca = len(a.triangles), len(b.triangles), len(a.corners)
+    parent = np.arange(ta + tb + ca + len(b.corners))
+    for k in range(len(pairs)):
+        _join(parent, pairs[k, 0], ta + pairs[k, 1])
+    for side in range(2):
+        own, first, corner = (a, 0, ta + tb) if side == 0 else (b, ta, ta + tb + ca)
+        for t in range(len(own.triangles)):
+            for i in range(3):
+                if inside[side][own.triangles[t, i]]:
+                    _join(parent, first + t, corner + own.triangles[t, i])
+    number, count = np.full(len(parent), _OUTSIDE), 0
+    for k in range(len(pairs)):
+        root = _root(parent, pairs[k, 0])
+        if number[root] == _OUTSIDE:
+            number[root] = count
+            count += 1
+    of_a, of_b = np.empty(ta, np.int64), np.empty(tb, np.int64)
+    for t in range(ta):
+        of_a[t] = number[_root(parent, t)]
+    for t in range(tb):
+        of_b[t] = number[_root(parent, ta + t)]
+    middle, many = np.zeros((count, 3)), np.zeros(count)
+    for k in range(len(pairs)):
+        c = of_a[pairs[k, 0]]
+        many[c] += 2.0
+        for d in range(3):
+            middle[c, d] += ends[k, 0, d] + ends[k, 1, d]
+    areas, spreads = np.zeros((count, 3)), np.zeros(count)
+    for k in range(len(pairs)):
+        c, square = of_a[pairs[k, 0]], 0.0
+        for d in range(3):
+            e, f = (d + 1) % 3, (d + 2) % 3
+            x = 0.5 * (ends[k, 0, e] - middle[c, e] / many[c]) * (ends[k, 1, f] - middle[c, f] / many[c])
+            x -= 0.5 * (ends[k, 0, f] - middle[c, f] / many[c]) * (ends[k, 1, e] - middle[c, e] / many[c])
+            areas[c, d] += x
+            square += x * x
+        spreads[c] += math.sqrt(square)
+    return Overlaps(of_a, of_b, areas, spreads)
+
+
+@kernel
+def _no_cuts(posed):
+    """For each side of each triangle (t, 3, 4): first and last share where it is cut, whether its ends are inside."""
+    cuts = np.zeros((len(posed.triangles), 3, 4))
+    cuts[:, :, 0] = math.inf
+    cuts[:, :, 1] = -math.inf
+    return cuts
+
+
+@kernel
+def _inside(posed, cuts):
+    """Corners (c,) bool inside the other: ends of sides that are cut, and what hangs together with them by others."""
+    inside = np.zeros(len(posed.corners), np.bool_)
+    for t in range(len(posed.triangles)):
+        for i in range(3):
+            if cuts[t, i, 0] <= 1.0:
+                p, q = posed.triangles[t, i], posed.triangles[t, (i + 1) % 3]
+                inside[p] = inside[p] or cuts[t, i, 2] > 0.0
+                inside[q] = inside[q] or cuts[t, i, 3] > 0.0
+    has_more = True
+    while has_more:
+        has_more = False
+        for t in range(len(posed.triangles)):
+            for i in range(3):
+                p, q = posed.triangles[t, i], posed.triangles[t, (i + 1) % 3]
+                if inside[p] != inside[q] and cuts[t, i, 0] > 1.0:
+                    inside[p] = inside[q] = True
+                    has_more = True
+    return inside
+
+
+@inlined_kernel
+def _root(parent, k):
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
+
+
+@inlined_kernel
+def _join(parent, j, k):
+    j, k = _root(parent, j), _root(parent, k)
+    parent[max(j, k)] = min(j, k)
+
+
+@kernel
+def _within(posed, low, high):
+    """Triangles (k,) whose boxes meet a box, their boxes (k, 6) [m], and _flat of them."""
+    out, boxes, used = np.empty(len(posed.triangles), np.int64), np.empty((len(posed.triangles), 6)), 0
+    for t in range(len(posed.triangles)):
+        p, q, r = posed.triangles[t]
+        meets = True
+        for d in range(3):
+            x, y, z = posed.corners[p, d], posed.corners[q, d], posed.corners[r, d]
+            boxes[used, d], boxes[used, 3 + d] = min(x, y, z), max(x, y, z)
+            meets = meets and boxes[used, d] <= high[d] and boxes[used, 3 + d] >= low[d]
+        if meets:
+            out[used] = t
+            used += 1
+    return out[:used], boxes[:used], _flat(posed, out[:used])
+
+
+@kernel
+def _flat(posed, rows):
+    """Corners [m], normal, and the plane's distance from the origin [m], of triangles (k,): (k, 13)."""
+    out = np.empty((len(rows), 13))
+    for k in range(len(rows)):
+        t = rows[k]
+        for i in range(3):
+            for d in range(3):
+                out[k, 3 * i + d] = posed.corners[posed.triangles[t, i], d]
+        for d in range(3):
+            out[k, 9 + d] = posed.normals[t, d]
+        out[k, 12] = out[k, 9] * out[k, 0] + out[k, 10] * out[k, 1] + out[k, 11] * out[k, 2]
+    return out
+
+
+@inlined_kernel
+def _planes_cut(a, i, b, j, distances):
+    """Whether rows of two _flat have corners on both sides of each other's plane.
+
+    distances (6,): of a's corners from b's plane [m], then of b's from a's; positive outside.
+    """
+    for k in range(3):
+        distances[k] = _above(b, j, a, i, k)
+    if not min(distances[0], distances[1], distances[2]) < 0.0 < max(distances[0], distances[1], distances[2]):
+        return False
+    for k in range(3):
+        distances[3 + k] = _above(a, i, b, j, k)
+    return min(distances[3], distances[4], distances[5]) < 0.0 < max(distances[3], distances[4], distances[5])
+
+
+@inlined_kernel
+def _above(a, i, b, j, corner):
+    x, y, z = b[j, 3 * corner], b[j, 3 * corner + 1], b[j, 3 * corner + 2]
+    return a[i, 9] * x + a[i, 10] * y + a[i, 11] * z - a[i, 12]
+
+
+@inlined_kernel
+def _crossing_at(a, i, b, j, edge, distances):
+    """At which share a side of a row of a _flat passes through one of another, -1: does not; sides 3 to 5 are b's."""
+    k = edge % 3
+    d, e = distances[edge], distances[edge - k + (k + 1) % 3]
+    if not d * e < 0.0:
+        return -1.0
+    own, m, other, n = (a, i, b, j) if edge < 3 else (b, j, a, i)
+    x, y = _volume(own, m, k, other, n, 0), _volume(own, m, k, other, n, 1)
+    z = _volume(own, m, k, other, n, 2)
+    if (x > 0.0 and y > 0.0 and z > 0.0) or (x < 0.0 and y < 0.0 and z < 0.0):
+        return d / (d - e)
+    return -1.0
+
+
+@inlined_kernel
+def _volume(a, i, k, b, j, side):
+    """Six times the signed volume [m3] of a tetrahedron with side k of one triangle and a side of another."""
+    p, q, r, s = 3 * k, 3 * ((k + 1) % 3), 3 * side, 3 * ((side + 1) % 3)
+    ux, uy, uz = a[i, q] - a[i, p], a[i, q + 1] - a[i, p + 1], a[i, q + 2] - a[i, p + 2]
+    vx, vy, vz = b[j, r] - a[i, p], b[j, r + 1] - a[i, p + 1], b[j, r + 2] - a[i, p + 2]
+    wx, wy, wz = b[j, s] - a[i, p], b[j, s + 1] - a[i, p + 1], b[j, s + 2] - a[i, p + 2]
+    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
