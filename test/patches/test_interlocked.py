@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from benchmarks.peers.judging.least_translation import least_translation
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates, Settings
 
@@ -99,3 +100,22 @@ def test_bodies_of_one_direction_are_made_disjoint_by_the_deepest_contact() -> N
         np.testing.assert_allclose(answer.normals.reshape(-1, 3), [[0.0, 0.0, 1.0]] * len(answer.gaps), atol=1e-12)
         assert len(answer.gaps) >= 4 and answer.gaps.min() == pytest.approx(-0.004, abs=1e-12)
         assert answer.missed_depth_bound[0] == pytest.approx(0.004, rel=1e-3)
+
+
+def test_the_contacts_of_a_pair_part_it() -> None:
+    """Moved by the least translation that satisfies the contacts, no edge passes through a face: of 99 % of pairs."""
+    random, names, left = np.random.default_rng(100), list(SHAPES), []
+    through = 0
+    while through < 150:
+        first, second = random.choice(names, 2)
+        turns, offset = Rotation.random(2, random_state=random).as_quat(), random.normal(0.0, 0.25, 3)
+        a, b = placed(first, turns[0], np.zeros(3)), placed(second, turns[1], offset)
+        if not (pierces(a, b) or pierces(b, a)):
+            continue
+        through += 1
+        answer = contacts_of(first, second, turns, offset)
+        x = least_translation(answer.normals.reshape(-1, 3), -answer.gaps)
+        x *= 1.0 + 1e-3 * min(mesh.extents.max() for mesh in (SHAPES[first], SHAPES[second])) / np.linalg.norm(x)
+        if pierces(a, b + x) or pierces(b + x, a):
+            left.append((first, second))
+    assert len(left) <= 0.01 * through, left

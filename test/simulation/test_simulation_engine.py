@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.simulation.engine.engine import FrameState, MassProperties
-from fracture_collision.simulation.engine.free_motion import free_velocities
+from fracture_collision.simulation.engine.free_motion import free_velocities, mean_spins
 from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 
@@ -53,6 +53,15 @@ def test_the_body_frame_is_returned_as_it_was_set(world):
     np.testing.assert_allclose(states.centers[0], center, atol=1e-14)
     turned = rotation.as_matrix() @ properties.inertia @ rotation.as_matrix().T
     np.testing.assert_allclose(states.inertias[0], turned, atol=1e-14)
+
+
+@pytest.mark.parametrize("spin", [0.0, 1e-320, 1e-160, 1e-80, 1e-60, 1e-20])
+def test_the_spin_of_a_body_that_hardly_turns_is_a_number(spin: float) -> None:
+    """Squares of squares of it are not."""
+    before = np.array([[spin, 2.0 * spin, -spin]])
+    after = before * 1.001
+    found = mean_spins(before, after, np.diag([1e-3, 2e-3, 3e-3])[None], STEP)
+    np.testing.assert_allclose(found, before, rtol=0.01, atol=1e-12)  # [rad/s] rounding of the turn
 
 
 def test_a_free_tumbling_body_keeps_its_energy_and_flies_its_parabola(world):

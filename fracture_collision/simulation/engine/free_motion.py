@@ -23,6 +23,8 @@ from fracture_collision.simulation.rotations import crossed, quaternion_products
 NEWTON_STEPS = 12
 # A step in which a body turns by many radians is divided into parts, doubled in number while one does not converge.
 MOST_PARTS = 1024
+# Square of an angular momentum [(kg m2/s)2] whose own square is not a number any more: such a body does not turn.
+STILL = 1.0e-140
 # Residual relative to |I w|; quadratic convergence gets from a thousandth to here in two steps.
 CONVERGED = 1.0e-15
 # Accepted after the last step: rounding may keep the residual a little above.
@@ -54,7 +56,7 @@ def mean_spins(before: np.ndarray, after: np.ndarray, inertias: np.ndarray, time
     momentum, moved = turned(inertias, before), turned(rotation_matrices(turns), turned(inertias, after))
     size = lengths(momentum) * lengths(moved)
     align = np.column_stack((crossed(moved, momentum), dots(moved, momentum) + size))
-    align[~(align[:, 3] > 0.5 * size)] = 0.0, 0.0, 0.0, 1.0
+    align[~((align[:, 3] > 0.5 * size) & (size > STILL))] = 0.0, 0.0, 0.0, 1.0
     align /= lengths(align)[:, None]
     vectors = rotation_vectors(quaternion_products(align, turns))
     angles, along = lengths(vectors), time_step * dots(vectors, middle)

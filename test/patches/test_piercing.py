@@ -1,0 +1,126 @@
+"""Where surfaces pierce each other, against all pairs of triangles; the least translation, against least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.optimize import nnls
+from scipy.spatial.transform import Rotation
+
+from fracture_collision.core.patches.facing_points import Posed
+from fracture_collision.core.patches.least_translation import least_translation
+from fracture_collision.core.patches.piercing import overlaps_of, pierced_pairs
+from fracture_collision.core.patches.surface import make_surface
+
+SHAPES = {
+    "box": trimesh.creation.box((1.0, 0.7, 0.4)),
+    "ball": trimesh.creation.icosphere(2, 0.5),
+    "torus": trimesh.creation.torus(0.4, 0.1, major_sections=16, minor_sections=8),
+    "spike": trimesh.creation.cone(0.1, 1.0, sections=9),
+}
+
+
+def posed(mesh: trimesh.Trimesh, turn: Rotation | None = None, offset=(0.0, 0.0, 0.0)) -> Posed:
+    turn = Rotation.identity() if turn is None else turn
+    surface = make_surface(np.ascontiguousarray(mesh.triangles.reshape(-1, 9)))
+    return Posed(
+        turn.apply(surface.corners) + offset, surface.triangles, turn.apply(surface.normals), surface.edges,
+        surface.beside, surface.is_sharp,
+    )  # fmt: skip
+
+
+def volume(a, b, c, d):
+    return np.einsum("...i,...i", np.cross(b - a, c - a), d - a)
+
+
+def all_pierced(a: Posed, b: Posed) -> set[tuple[int, int]]:
+    first, second = a.corners[a.triangles][:, None], b.corners[b.triangles][None]
+    found = np.zeros((len(a.triangles), len(b.triangles)), bool)
+    for own, other in ((first, second), (second, first)):
+        u, v, w = (other[:, :, k] for k in range(3))
+        for k in range(3):
+            p, q = own[:, :, k], own[:, :, (k + 1) % 3]
+            x, y, z = volume(p, q, u, v), volume(p, q, v, w), volume(p, q, w, u)
+            through = ((x > 0) & (y > 0) & (z > 0)) | ((x < 0) & (y < 0) & (z < 0))
+            found |= through & (volume(u, v, w, p) * volume(u, v, w, q) < 0.0)
+    return set(zip(*(rows.tolist() for rows in np.nonzero(found)), strict=True))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pairs_that_pierce_each_other_are_all_found_once(seed: int) -> None:
+    random, pierced = np.random.default_rng(seed), 0
+    for _ in range(40):
+        names = random.choice(list(SHAPES), 2)
+        turns = Rotation.random(2, random_state=random)
+        a, b = posed(SHAPES[names[0]], turns[0]), posed(SHAPES[names[1]], turns[1], random.normal(0.0, 0.3, 3))
+        found = [tuple(pair) for pair in pierced_pairs(a, b).tolist()]
+        assert len(found) == len(set(found))
+        assert set(found) == all_pierced(a, b)
+        pierced += len(found) > 0
+    assert pierced > 10
+
+
+def test_the_area_of_an_overlap_is_that_of_what_is_inside() -> None:
+    """A corner of a cube in another: three squares of 0.2 m."""
+    cube = trimesh.creation.box((1.0, 1.0, 1.0))
+    turned = posed(cube, Rotation.from_rotvec([1e-9, 2e-9, 3e-9]), (0.8, 0.8, 0.8))
+    a = posed(cube)
+    overlaps = overlaps_of(a, turned, pierced_pairs(a, turned))
+    np.testing.assert_allclose(overlaps.areas, [[0.04, 0.04, 0.04]], atol=1e-6)
+    assert (overlaps.of_a >= 0).any() and (overlaps.of_b >= 0).any()
+
+
+def test_overlaps_at_two_places_are_told_apart() -> None:
+    """A bar through both walls of a box's corner regions: two balls of a dumbbell in a plate's rims."""
+    plate = posed(trimesh.creation.box((2.0, 2.0, 0.1)))
+    balls = trimesh.util.concatenate(
+        [trimesh.creation.icosphere(2, 0.3).apply_translation((x, 0.1, 0.28)) for x in (-0.5, 0.53)]
+    )
+    two = posed(balls)
+    overlaps = overlaps_of(plate, two, pierced_pairs(plate, two))
+    assert len(overlaps.areas) == 2
+    up = overlaps.areas / np.linalg.norm(overlaps.areas, axis=1)[:, None]
+    np.testing.assert_allclose(up, [[0.0, 0.0, 1.0]] * 2, atol=0.05)
+    assert np.all(np.linalg.norm(overlaps.areas, axis=1) > 0.95 * overlaps.spreads)
+
+
+def test_a_needle_through_a_plate_leaves_no_area() -> None:
+    plate = posed(trimesh.creation.box((1.0, 0.8, 0.03)))
+    needle = posed(trimesh.creation.cylinder(0.01, 1.2, sections=8), None, (0.2, 0.1, 0.05))
+    overlaps = overlaps_of(plate, needle, pierced_pairs(plate, needle))
+    assert len(overlaps.areas) == 1 and np.linalg.norm(overlaps.areas[0]) < 0.05 * overlaps.spreads[0]
+
+
+def slow_translation(normals: np.ndarray, needs: np.ndarray) -> np.ndarray:
+    """Lawson & Hanson 1974, chapter 23: least distance programming by its dual."""
+    system, target = np.vstack((normals.T, needs)), np.array([0.0, 0.0, 0.0, 1.0])
+    weights, _ = nnls(system, target)
+    residual = system @ weights - target
+    return -residual[:3] / residual[3]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_least_translation_is_that_of_least_squares(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    for _ in range(200):
+        n = int(random.integers(1, 12))
+        toward = random.normal(size=3)
+        normals = random.normal(size=(n, 3)) + 1.5 * toward
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        normals[normals @ toward < 0.0] *= -1.0  # so that there is one
+        needs = random.uniform(-0.5, 1.0, n)
+        x, is_possible = least_translation(normals, needs)
+        if needs.max() <= 0.0:
+            np.testing.assert_array_equal(x, np.zeros(3))
+            continue
+        assert is_possible and (normals @ x - needs).min() > -1e-8
+        np.testing.assert_allclose(np.linalg.norm(x), np.linalg.norm(slow_translation(normals, needs)), rtol=1e-6)
+
+
+def test_opposite_needs_have_no_translation() -> None:
+    normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    assert not least_translation(normals, np.array([0.1, 0.1]))[1]
+    x, is_possible = least_translation(normals, np.array([0.1, -0.2]))
+    assert is_possible
+    np.testing.assert_allclose(x, [0.0, 0.0, 0.1])

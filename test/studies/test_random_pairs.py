@@ -1,0 +1,33 @@
+"""Random pairs of everything: none is unlisted, missed or false, and contacts of rigid bodies part them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.random_pairs import EPSILON, Pair, campaign
+
+PAIR = Pair(0.01, 0.02, 0.01, 4, True, 0.0, 1, "box box")
+
+
+@pytest.mark.parametrize("family", ["boxes", "triangles", "flat fragments"])
+def test_pairs_are_listed_parted_and_not_invented(family: str) -> None:
+    found = list(campaign(family, 60, 5))
+    deep = [pair for pair in found if pair.depth > EPSILON]
+    assert len(found) == 60 and len(deep) > 15
+    faults = [fault for pair in found for fault in pair.faults]
+    # the bound of a shallow pair of fragments speaks of its samples
+    allowed = {"beyond"} if family == "flat fragments" else set()
+    assert set(faults) <= allowed, [pair for pair in found if pair.faults]
+
+
+def test_each_fault_is_told_from_the_others() -> None:
+    assert PAIR.faults == []
+    assert PAIR._replace(is_listed=False, contacts=0).faults == ["unlisted", "missed"]
+    assert PAIR._replace(depth=0.03).faults == ["beyond"]
+    assert PAIR._replace(depth=0.0).faults == ["false"]
+    assert PAIR._replace(left=2.0 * EPSILON).faults == ["not parted"]
+
+
+def test_a_campaign_is_repeatable() -> None:
+    first, second = (list(campaign("boxes", 5, 3)) for _ in range(2))
+    np.testing.assert_equal(first, second)
