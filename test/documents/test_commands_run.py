@@ -76,6 +76,7 @@ NOT_RUN = {
     r"python -m campaigns\.late_floor": "is a campaign",
     r"python -m benchmarks\.elementary": "its scenes are those of test_elementary",
     r"python -m benchmarks\.random_pairs": "its kinds of pairs are those of test_interlocked and test_random_pairs",
+    r"python -m benchmarks\.random_drops": "takes half an hour: test_random_pairs runs some",
 }  # fmt: skip
 
 

@@ -1,9 +1,11 @@
-"""Random pairs of everything: none is unlisted, missed or false, and contacts of rigid bodies part them."""
+"""Random pairs and drops: none is unlisted, missed or false, contacts of rigid bodies part them, and boxes rest."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.elementary import Setting, run, scene_of
+from benchmarks.random_drops import drops, elementary
 from benchmarks.random_pairs import EPSILON, Pair, campaign
 
 PAIR = Pair(0.01, 0.02, 0.01, 4, True, 0.0, 1, "box box")
@@ -26,6 +28,14 @@ def test_each_fault_is_told_from_the_others() -> None:
     assert PAIR._replace(depth=0.03).faults == ["beyond"]
     assert PAIR._replace(depth=0.0).faults == ["false"]
     assert PAIR._replace(left=2.0 * EPSILON).faults == ["not parted"]
+
+
+def test_boxes_dropped_at_random_rest_on_top_or_beside() -> None:
+    made = drops(np.random.default_rng(7))
+    for _ in range(4):
+        drop = next(made)
+        what = elementary(drop)
+        assert not list(what.faults(run(scene_of("drop", what, Setting(step=drop.step))))), drop
 
 
 def test_a_campaign_is_repeatable() -> None:

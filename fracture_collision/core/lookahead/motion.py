@@ -18,6 +18,8 @@ from fracture_collision.core.memory.kinds import is_bounded
 from fracture_collision.core.memory.rotations import turned_back
 
 _sine_after = inlined_kernel(portable_math.sine_after)
+# A body that turns by no more than this [rad] moves as if straight: directions of the end hold for now, too.
+MOST_TURN = 0.12
 # [m] reach of a plane: in a rotating frame some of its points are arbitrarily fast.
 ENDLESS = 1e30
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from fracture_collision.core.contacts.sphere_contacts import sphere_contacts
 from fracture_collision.core.lookahead.later_contacts import put_poses
-from fracture_collision.core.lookahead.motion import closing_speed, turned_in
+from fracture_collision.core.lookahead.motion import MOST_TURN, closing_speed, turned_in
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import PLANE, SPHERE
 from fracture_collision.core.memory.pair import Sink
@@ -19,8 +19,6 @@ from fracture_collision.core.memory.pair import Sink
 DEEPER = 0.05
 # A sphere that would be deeper at the end, by this share of its radius, may be nearest to another place than it enters.
 DEEPEST = 0.05
-# Where the other turns by more than this [rad], directions of the end say nothing about now.
-MOST_TURN = 0.12
 
 
 @query_kernel

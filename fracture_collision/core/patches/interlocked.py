@@ -21,7 +21,7 @@ import numpy as np
 from fracture_collision.core.contacts.contact_choice import Rule
 from fracture_collision.core.contacts.contact_places import make_world_contacts, put_in_world
 from fracture_collision.core.contacts.known_samples import share_a_body
-from fracture_collision.core.lookahead.motion import Motion, Moving, put_pose, turned_in
+from fracture_collision.core.lookahead.motion import MOST_TURN, Motion, Moving, put_pose, turned_in
 from fracture_collision.core.lookahead.staying_apart import gap_of_hulls
 from fracture_collision.core.memory.compiled import (
     allocating_kernel,
@@ -38,7 +38,6 @@ from fracture_collision.core.memory.rotations import turned_back
 from fracture_collision.core.patches.facing_points import FacingPoints, Posed, facing_points
 from fracture_collision.core.patches.least_translation import least_translation
 from fracture_collision.core.patches.pair_contacts import (
-    MOST_TURN,
     MOVED,
     ONE_PLACE,
     Wanted,

@@ -9,7 +9,7 @@ import numpy as np
 
 from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
 from fracture_collision.core.field.flood import NO_SOURCE
-from fracture_collision.core.lookahead.motion import put_pose
+from fracture_collision.core.lookahead.motion import MOST_TURN, put_pose
 from fracture_collision.core.memory.compiled import allocating_kernel, inlined_kernel, kernel
 from fracture_collision.core.memory.rotations import relative_pose, rotated, turned_back
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_PATCHES
@@ -24,8 +24,7 @@ ONE_PLACE = 1e-6
 MOVED = 1.5
 # The deepest contact comes first; depths within this share of the tolerance are alike. So are scores within the other.
 ALIKE, EQUAL = 1e-3, 0.999
-# A step is divided so that neither body turns by more than this [rad] in a part: each is looked at as if straight.
-MOST_TURN = 0.12
+# A step is divided so that neither body turns by more than MOST_TURN in a part.
 MOST_PARTS = 64
 _CROSSING_STRIDE = 1 << 24
 
