@@ -20,7 +20,7 @@ import numpy as np
 
 from fracture_collision.core.contacts.contact_choice import Rule
 from fracture_collision.core.contacts.contact_places import make_world_contacts, put_in_world
-from fracture_collision.core.contacts.known_samples import share_a_body
+from fracture_collision.core.contacts.known_samples import ID_SAMPLE, share_a_body
 from fracture_collision.core.lookahead.motion import MOST_TURN, Motion, Moving, put_pose, turned_in
 from fracture_collision.core.lookahead.staying_apart import gap_of_hulls
 from fracture_collision.core.memory.compiled import (
@@ -78,6 +78,7 @@ OTHER = 0.5
 # Who wants more contacts of a pair wants all that were found.
 MOST_WANTED = 256
 _LEAVE, _ALL = -1, -2
+_DIRECTION_BIT = 59  # of a contact's number: above kind and feature
 
 
 class Surfaces(NamedTuple):
@@ -289,7 +290,9 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     for k in range(first, parted.used):
         each = min(max(len(sink.contacts) // (parted.used - first), 1), len(sink.contacts) - count)
         rest = Sink(sink.contacts[count : count + each], sink.ids[count : count + each])
-        count += _put_points((a, b), placings, (planes.normals[k], planes.needs[k], planes.at[k]), wanted, size, rest)
+        plane = planes.normals[k], planes.needs[k], planes.at[k]
+        more = _put_points((a, b), placings, plane, wanted, size, rest)
+        count = _keep_distinct(sink, count, more, planes.normals[k])
     if count == 0:
         return _LEAVE, bound
     room = most_contacts - count
@@ -415,6 +418,33 @@ def _put_points(posed, placings, plane, wanted, size, sink):
         other = patch.others[k] + along * n - x
         put_contact(sink, k, patch.points[k], other, n, patch.numbers[k])
     return len(patch.gaps)
+
+
+@kernel
+def _keep_distinct(sink, count, more, n):
+    """Number `more` contacts along n behind the first `count` anew if one of these has their number: (contacts kept).
+
+    A corner may be of two directions; then the axis nearest to the later one tells them apart.
+    """
+    axis = 0
+    for d in range(1, 3):
+        if abs(n[d]) > abs(n[axis]):
+            axis = d
+    direction = np.int64(1 + 2 * axis + (n[axis] < 0.0)) << _DIRECTION_BIT
+    kept = count
+    for c in range(count, count + more):
+        is_new = True
+        for turn in range(2):
+            is_new = True
+            for k in range(kept):
+                is_new = is_new and sink.ids[k, ID_SAMPLE] != sink.ids[c, ID_SAMPLE]
+            if is_new or turn == 1:
+                break
+            sink.ids[c, ID_SAMPLE] += direction
+        if is_new:
+            sink.contacts[kept], sink.ids[kept] = sink.contacts[c], sink.ids[c]
+            kept += 1
+    return kept
 
 
 @inlined_kernel
