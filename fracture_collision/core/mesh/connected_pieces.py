@@ -32,7 +32,7 @@ def joined(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
 
 
 @inlined_kernel
-def _root(parent, node):
+def root_of(parent, node):
     """Find the root, with path halving."""
     while parent[node] != node:
         parent[node] = parent[parent[node]]
@@ -44,12 +44,12 @@ def _root(parent, node):
 def _joined(first, second, count):
     parent = np.arange(count)
     for i in range(first.size):
-        a, b = _root(parent, first[i]), _root(parent, second[i])
+        a, b = root_of(parent, first[i]), root_of(parent, second[i])
         parent[max(a, b)] = min(a, b)
     piece = np.empty(count, np.int32)
     found = 0
     for node in range(count):
-        root = _root(parent, node)
+        root = root_of(parent, node)
         if root == node:
             piece[node] = found
             found += 1

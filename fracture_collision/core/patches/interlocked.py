@@ -213,11 +213,11 @@ def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
         moves = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
         rows = offsets[p], offsets[p + 1]
         most = min(rule.limit, rows[1] - rows[0] + spare)
-        its = Wanted(rule.near * radius, moved, min(wanted, most)), rule.epsilon * radius, most
+        its = Wanted(rule.near * radius, moved, min(wanted, most)), most
         begin, end = wanted * turn, wanted * turn + min(wanted, most)
         sink = Sink(out.found.contacts[begin:end], out.found.ids[begin:end])
         out.counts[p], out.bounds[p] = put_interlocked(
-            surfaces, pair, moves, its, (found.normals, found.gaps, rows, out.bounds[p]), out.stays, sink
+            surfaces, pair, moves, its, (found.normals, found.gaps, rows), out.stays, sink
         )
 
 
@@ -244,13 +244,12 @@ _NOT_PARTED = _Parted(0, np.zeros(3), False)
 def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     """Write contacts that part what overlaps of a Pair to a Sink; marks which of the known ones stay.
 
-    wanted: Wanted, the penetration tolerance [m], how many contacts the pair may have; known: normals (c, 3), from a to
-    b in the world, and gaps (c,) [m] of all contacts, the pair's rows of these, its bound [m]. Returns (contacts, -1:
-    the pair stays as it is; bound [m]).
+    wanted: Wanted, how many contacts the pair may have; known: normals (c, 3), from a to b in the world, and gaps (c,)
+    [m] of all contacts, the pair's rows of these. Returns (contacts, -1: the pair stays as it is; bound [m]).
     """
-    wanted, _, most_contacts = wanted
+    wanted, most_contacts = wanted
     tolerance = wanted.near
-    normals, gaps, (begin, end), _ = known
+    normals, gaps, (begin, end) = known
     rotation = moving.rotations[moving.j]
     placings = _placings(moving)
     a = posed_at(_surface_at(surfaces, pair.a), placings[0], 0.0)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.mesh.connected_pieces import root_of
 
 _OUTSIDE = -1  # of all overlaps
 _MOST_CELLS = 24  # of the grid, along each side
@@ -181,15 +182,15 @@ def _joined(a, b, pairs, ends, inside):
                     _join(parent, first + t, corner + own.triangles[t, i])
     number, count = np.full(len(parent), _OUTSIDE), 0
     for k in range(len(pairs)):
-        root = _root(parent, pairs[k, 0])
+        root = root_of(parent, pairs[k, 0])
         if number[root] == _OUTSIDE:
             number[root] = count
             count += 1
     of_a, of_b = np.empty(ta, np.int64), np.empty(tb, np.int64)
     for t in range(ta):
-        of_a[t] = number[_root(parent, t)]
+        of_a[t] = number[root_of(parent, t)]
     for t in range(tb):
-        of_b[t] = number[_root(parent, ta + t)]
+        of_b[t] = number[root_of(parent, ta + t)]
     middle, many = np.zeros((count, 3)), np.zeros(count)
     for k in range(len(pairs)):
         c = of_a[pairs[k, 0]]
@@ -241,16 +242,8 @@ def _inside(posed, cuts):
 
 
 @inlined_kernel
-def _root(parent, k):
-    while parent[k] != k:
-        parent[k] = parent[parent[k]]
-        k = parent[k]
-    return k
-
-
-@inlined_kernel
 def _join(parent, j, k):
-    j, k = _root(parent, j), _root(parent, k)
+    j, k = root_of(parent, j), root_of(parent, k)
     parent[max(j, k)] = min(j, k)
 
 
