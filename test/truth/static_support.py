@@ -4,6 +4,10 @@ For all bodies at rest together: are there contact forces, each within its frict
 body balance its weight? A pair resists rolling by torques of up to its rolling arm times its normal force. Each body is
 granted TOLERANCE of its weight, and of its weight times its size as a moment; what is missing beyond that is minimised.
 Optionally, contacts that only hook onto an edge of a standing box (HOOK) do not count.
+
+A vertex on an edge may be pushed along any direction between those of the faces beside it; an answer has one of them,
+another one a micrometre away, and a body that rests there trembles between them. So the directions within TREMBLE of
+the present place count too.
 """
 
 from __future__ import annotations
@@ -25,6 +29,9 @@ ROOM = 4096  # contacts per pair: all within the detection tolerance
 # valid but invisible: a body that hangs by it seems to float.
 HOOK = 2e-4
 ON_FACE = 1e-9
+TREMBLE = 1e-5  # [m]
+TREMBLES = 8  # places asked at
+SAME_DIRECTION = 0.98  # cosine
 
 
 class Support(NamedTuple):
@@ -104,9 +111,11 @@ def support_of(run, scene, hooks: bool = True) -> Support:
     """Support in the present state of a Lockstep run; `hooks`: whether contacts that only hook onto an edge count."""
     states = run.states()
     registry = run.world.fragments()
-    contacts = asked_with(run.world, states, contacts_per_pair=ROOM)
-    if not hooks:
-        contacts = _without_hooks(contacts, _standing_boxes(run.simulation, registry))
+    boxes = [] if hooks else _standing_boxes(run.simulation, registry)
+    contacts = [
+        _without_hooks(asked_with(run.world, each, contacts_per_pair=ROOM), boxes)
+        for each in (states, *_trembling(states))
+    ]
     bodies = run.simulation._engine.states()
     rolling = {body_id: body.material.rolling_arm for body_id, body in run.simulation._cast.body_of.items()}
     of = dict(zip(registry.fragment_ids.tolist(), registry.body_ids.tolist(), strict=True))
@@ -123,6 +132,15 @@ def support_of(run, scene, hooks: bool = True) -> Support:
     at_rest = _Resting(bodies.fragment_ids[resting], row_of, bodies.centers[resting], weight, size[resting])
     arm_of = {f: rolling[of[f]] for f in of}
     return _solve(_forces_of(contacts, at_rest, arm_of), at_rest, gravity)
+
+
+def _trembling(states):
+    """Yields states in which each body is TREMBLE away from its place, in directions drawn anew."""
+    random = np.random.default_rng(0)
+    for _ in range(TREMBLES):
+        away = random.normal(size=(len(states.fragment_ids), 3))
+        away *= TREMBLE / np.linalg.norm(away, axis=1, keepdims=True)
+        yield states._replace(positions=states.positions + away.ravel())
 
 
 def _standing_boxes(simulation, registry):
@@ -160,21 +178,27 @@ def _without_hooks(contacts, boxes):
 
 
 def _forces_of(contacts, bodies: _Resting, arm_of: dict[int, float]) -> _Forces:
+    """Forces at the contacts of the first answer, and at those of the others that have a direction of their own."""
     forces, row_of = _Forces(bodies), bodies.row_of
-    begin = contacts.pair_begin.astype(int)
-    points = 0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3)
-    normals = contacts.normals.reshape(-1, 3)
-    for p in range(len(contacts.fragment_a)):
-        a, b = int(contacts.fragment_a[p]), int(contacts.fragment_b[p])
-        if a not in row_of and b not in row_of:
-            continue
-        scale = min(bodies.weight[row_of[f]] for f in (a, b) if f in row_of)
-        pressing = []
-        for c in range(begin[p], begin[p + 1]):
-            pressing += forces.press(a, b, points[c], scale * _cone_about(normals[c], contacts.friction[p]))
-        arm = max(arm_of[a], arm_of[b])
-        if arm > 0.0:
-            forces.resist_rolling(a, b, scale, arm, pressing)
+    directions: dict[tuple[int, int], list[np.ndarray]] = {}
+    for answer in contacts:
+        begin = answer.pair_begin.astype(int)
+        points = 0.5 * (answer.points_a + answer.points_b).reshape(-1, 3)
+        normals = answer.normals.reshape(-1, 3)
+        for p in range(len(answer.fragment_a)):
+            a, b = int(answer.fragment_a[p]), int(answer.fragment_b[p])
+            if a not in row_of and b not in row_of:
+                continue
+            scale = min(bodies.weight[row_of[f]] for f in (a, b) if f in row_of)
+            known = directions.setdefault((a, b), [])
+            pressing = []
+            for c in range(begin[p], begin[p + 1]):
+                if answer is contacts[0] or all(each @ normals[c] < SAME_DIRECTION for each in known):
+                    known.append(normals[c])
+                    pressing += forces.press(a, b, points[c], scale * _cone_about(normals[c], answer.friction[p]))
+            arm = max(arm_of[a], arm_of[b])
+            if arm > 0.0 and pressing:
+                forces.resist_rolling(a, b, scale, arm, pressing)
     return forces
 
 
