@@ -80,8 +80,8 @@ def facing_points(a, b, n, limit, size):
 
     size [m]: of the smaller fragment.
     """
-    axes = _axes(n)
-    of_a, of_b = _seen_along(a.corners, axes), _seen_along(b.corners, axes)
+    axes = axes_along(n)
+    of_a, of_b = seen_along(a.corners, axes), seen_along(b.corners, axes)
     view = _View(np.empty(6), limit, ON_RIM * size)
     window, _, rim = view
     for d in range(2):
@@ -106,7 +106,7 @@ def facing_points(a, b, n, limit, size):
 
 
 @kernel
-def _axes(n):
+def axes_along(n):
     """Rows: two unit vectors across n, and n."""
     axes, least = np.zeros((3, 3)), 0
     for d in range(1, 3):
@@ -124,7 +124,8 @@ def _axes(n):
 
 
 @kernel
-def _seen_along(corners, axes):
+def seen_along(corners, axes):
+    """Corners (c, 3) [m] along each of the axes."""
     seen = np.empty((len(corners), 3))
     for k in range(len(corners)):
         for d in range(3):
@@ -138,51 +139,40 @@ def _near(posed, places, n, sign, view):
 
     A feature of a can be within `limit` of b only if it is no more than that below the lowest of b, and conversely.
     """
-    triangles, normals = posed.triangles, posed.normals
+    triangles, edges = posed.triangles, posed.edges
     window, limit, _ = view
-    faces, faces_used = np.empty(len(triangles), np.int64), 0
-    towards, touches = np.empty(len(triangles)), np.zeros(len(places), np.bool_)
     least = sign * window[4 if sign > 0.0 else 5] - limit
+    beyond = np.empty(len(places), np.uint8)  # a bit for each side of what is looked at
+    for k in range(len(places)):
+        u, v, h = places[k, 0], places[k, 1], sign * places[k, 2]
+        beyond[k] = (u < window[0]) | ((u > window[1]) << 1) | ((v < window[2]) << 2) | ((v > window[3]) << 3)
+        beyond[k] |= (h < least) << 4
+    faces, faces_used, touches = np.empty(len(triangles), np.int64), 0, np.zeros(len(places), np.bool_)
     for t in range(len(triangles)):
-        towards[t] = sign * (normals[t, 0] * n[0] + normals[t, 1] * n[1] + normals[t, 2] * n[2])
-        if towards[t] <= FACING:
-            continue
-        p, q, r = places[triangles[t, 0]], places[triangles[t, 1]], places[triangles[t, 2]]
-        if max(sign * p[2], sign * q[2], sign * r[2]) < least:
-            continue
-        if max(p[0], q[0], r[0]) < window[0] or min(p[0], q[0], r[0]) > window[1]:
-            continue
-        if max(p[1], q[1], r[1]) < window[2] or min(p[1], q[1], r[1]) > window[3]:
-            continue
-        faces[faces_used] = t
-        faces_used += 1
-        for k in range(3):
-            touches[triangles[t, k]] = True
+        i, j, k = triangles[t]
+        if beyond[i] & beyond[j] & beyond[k] == 0 and sign * _along(posed.normals[t], n) > FACING:
+            faces[faces_used] = t
+            faces_used += 1
+            touches[i] = touches[j] = touches[k] = True
     corners, corners_used = np.empty(len(places), np.int64), 0
     for k in range(len(places)):
-        p = places[k]
-        if touches[k] and posed.is_sharp[k] and sign * p[2] >= least and _holds(window, p[0], p[1]):
+        if touches[k] and posed.is_sharp[k] and beyond[k] == 0:
             corners[corners_used] = k
             corners_used += 1
-    edges, edges_used = np.empty(len(posed.edges), np.int64), 0
-    for e in range(len(posed.edges)):
-        if max(towards[posed.beside[e, 0]], towards[posed.beside[e, 1]]) <= EDGE_FACING:
+    chosen, edges_used = np.empty(len(edges), np.int64), 0
+    for e in range(len(edges)):
+        if beyond[edges[e, 0]] & beyond[edges[e, 1]]:
             continue
-        p, q = places[posed.edges[e, 0]], places[posed.edges[e, 1]]
-        if max(sign * p[2], sign * q[2]) < least:
-            continue
-        if max(p[0], q[0]) < window[0] or min(p[0], q[0]) > window[1]:
-            continue
-        if max(p[1], q[1]) < window[2] or min(p[1], q[1]) > window[3]:
-            continue
-        edges[edges_used] = e
-        edges_used += 1
-    return _Seen(places, faces[:faces_used], corners[:corners_used], edges[:edges_used])
+        one, other = posed.normals[posed.beside[e, 0]], posed.normals[posed.beside[e, 1]]
+        if max(sign * _along(one, n), sign * _along(other, n)) > EDGE_FACING:
+            chosen[edges_used] = e
+            edges_used += 1
+    return _Seen(places, faces[:faces_used], corners[:corners_used], chosen[:edges_used])
 
 
 @inlined_kernel
-def _holds(window, u, v):
-    return window[0] <= u <= window[1] and window[2] <= v <= window[3]
+def _along(m, n):
+    return m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
 
 
 @inlined_kernel

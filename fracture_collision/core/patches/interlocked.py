@@ -40,13 +40,14 @@ from fracture_collision.core.patches.least_translation import least_translation
 from fracture_collision.core.patches.pair_contacts import (
     MOVED,
     ONE_PLACE,
+    Placing,
     Wanted,
     listed_patch,
     posed_at,
     put_contact,
     seen_from,
 )
-from fracture_collision.core.patches.piercing import overlaps_of, pierced_pairs
+from fracture_collision.core.patches.piercing import close_pairs, overlaps_of, pierced_of, pierced_pairs
 from fracture_collision.core.patches.shapes import Shapes, triangles_of
 from fracture_collision.core.patches.surface import Surface, make_surface
 from fracture_collision.core.search.kept_answer import PairContacts
@@ -176,16 +177,16 @@ def _candidates(pools, pairs, is_convex, rule, found, scratch, out):
         least = math.inf
         for c in range(offsets[p], offsets[p + 1]):
             least = min(least, gaps[c])
-        is_one = least < -DEEP * rule.near * radius
+        is_one = least < -LEAST * rule.near * radius
         # samples of fragments are as close to each other as their faces are large
-        if not is_one and (kind_a != TETRAHEDRA or kind_b != TETRAHEDRA):
-            pair = put_pair(step, p, scratch.rotation, scratch.translation)
-            moved = math.inf
-            if share_a_body(pools, pair.a, pair.b):
-                moved = MOVED * displacement(pools, pair, IN_PLACE)
-            if moved > rule.epsilon * radius:
-                scratch.toward[0] = scratch.toward[1] = scratch.toward[2] = 0.0
-                is_one = gap_of_hulls(pools, pair, 0.0, scratch.toward, scratch)[0] < -rule.epsilon * radius
+        if not is_one and kind_a == TETRAHEDRA and kind_b == TETRAHEDRA:
+            continue
+        pair = put_pair(step, p, scratch.rotation, scratch.translation)
+        if share_a_body(pools, pair.a, pair.b) and MOVED * displacement(pools, pair, IN_PLACE) <= rule.epsilon * radius:
+            continue
+        if not is_one:
+            scratch.toward[0] = scratch.toward[1] = scratch.toward[2] = 0.0
+            is_one = gap_of_hulls(pools, pair, 0.0, scratch.toward, scratch)[0] < -rule.epsilon * radius
         if is_one:
             out[used] = p
             used += 1
@@ -213,7 +214,8 @@ def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
         moves = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
         rows = offsets[p], offsets[p + 1]
         most = min(rule.limit, rows[1] - rows[0] + spare)
-        its = Wanted(rule.near * radius, moved, min(wanted, most)), most
+        is_sampled = pools.fragment.kind[pair.a] == TETRAHEDRA and pools.fragment.kind[pair.b] == TETRAHEDRA
+        its = Wanted(rule.near * radius, moved, min(wanted, most)), most, is_sampled
         begin, end = wanted * turn, wanted * turn + min(wanted, most)
         sink = Sink(out.found.contacts[begin:end], out.found.ids[begin:end])
         out.counts[p], out.bounds[p] = put_interlocked(
@@ -227,6 +229,15 @@ class _Planes(NamedTuple):
     normals: np.ndarray  # (c + MOST_ADDED, 3) unit, from a to b
     needs: np.ndarray  # (c + MOST_ADDED,) [m]
     at: np.ndarray  # (c + MOST_ADDED, 3) [m] b's translation when it was found
+
+
+class _Rules(NamedTuple):
+    given: np.ndarray  # (c, 3) directions of contacts found
+    along: np.ndarray  # (3,) that of the deepest: see close_pairs
+    placings: tuple[Placing, Placing]
+    wanted: Wanted
+    size: float  # [m] of the smaller
+    most: float  # [m] how long the translation may be
 
 
 class _Parted(NamedTuple):
@@ -244,10 +255,10 @@ _NOT_PARTED = _Parted(0, np.zeros(3), False)
 def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     """Write contacts that part what overlaps of a Pair to a Sink; marks which of the known ones stay.
 
-    wanted: Wanted, how many contacts the pair may have; known: normals (c, 3), from a to b in the world, and gaps (c,)
+    wanted: Wanted, how many contacts the pair may have, whether both are full of samples; known: normals (c, 3), from a to b in the world, and gaps (c,)
     [m] of all contacts, the pair's rows of these. Returns (contacts, -1: the pair stays as it is; bound [m]).
     """
-    wanted, most_contacts = wanted
+    wanted, most_contacts, is_sampled = wanted
     tolerance = wanted.near
     normals, gaps, (begin, end) = known
     rotation = moving.rotations[moving.j]
@@ -263,21 +274,25 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
         planes.normals[c] = turned_back(rotation, n[0], n[1], n[2])
         planes.needs[c] = -gaps[begin + c]
         deepest = max(deepest, -gaps[begin + c])
-    given = planes.normals[:found].copy()
+    given, along = planes.normals[:found].copy(), np.array([0.0, 0.0, 1.0])
+    for c in range(found):
+        if planes.needs[c] == deepest:
+            along[:] = given[c]
     # pieces in place interlock: what parts them sideways is no way out
     likely = MOST_TIMES * deepest + MORE * tolerance
     most = max(likely, wanted.moved)
-    rules = given, placings, wanted, size, most
+    rules = _Rules(given, along, placings, wanted, size, most)
     # samples that are deep in something thin may be past its middle, and contradict each other
     x, is_possible = least_translation(given, planes.needs[:found])
     is_asked = is_possible and deepest <= DEEP * tolerance
     parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
     first = found if parted.is_apart else 0
-    if not parted.is_apart:
+    is_shallow = is_sampled and deepest <= DEEP * tolerance
+    if not parted.is_apart and not is_shallow:
         parted = _part((a, b), np.zeros(3), (0, 0), deepest > DEEP * tolerance, rules, planes)
-    if not parted.is_apart and wanted.moved < math.inf:
+    if not is_shallow and not parted.is_apart and wanted.moved < math.inf:
         parted = _part_back((a, b), rules, planes)
-    if wanted.moved > likely and (not parted.is_apart or _along(parted.x, parted.x) > likely * likely):
+    if not is_shallow and wanted.moved > likely and (not parted.is_apart or _along(parted.x, parted.x) > likely * likely):
         whole = _part_whole((a, b), parted, rules, planes)
         if whole.is_apart or not parted.is_apart:
             parted, first = whole, 0
@@ -328,27 +343,30 @@ def _part(posed, x, rows, is_inside, rules, planes):
     """Add half-spaces until two Posed surfaces are apart: a _Parted.
 
     x: least translation by those there are; rows: their number, and that of those of contacts found; is_inside: one may
-    be inside the other, and pierce nothing; rules: directions (c, 3) of contacts found, the Placings, Wanted, size of
-    the smaller [m], how long the translation may be [m].
+    be inside the other, and pierce nothing.
     """
-    given, _, wanted, size, most = rules
     a, b = posed
     used, first = rows
+    origin, reach, close = x, -1.0, np.empty((0, 2), np.int64)
     for turn in range(MOST_TURNS):
-        _lengthen(x, SLACK * wanted.near)
+        _lengthen(x, SLACK * rules.wanted.near)
         there = _shifted(b, x)
-        pairs = pierced_pairs(a, there)
+        if not _distance(x, origin) <= reach:
+            # most are apart at once; those that are not are moved by little from there
+            origin, reach = x, turn * rules.wanted.near
+            close = close_pairs(a, there, rules.along, reach)
+        pairs = pierced_of(a, there, close)
         if len(pairs) == 0:
             return _Parted(used, x, turn > 0 or not is_inside)
         overlaps = overlaps_of(a, there, pairs)
         for k in range(len(overlaps.spreads)):
-            n, overlap = _way_out((a, there), pairs, overlaps, k, given, (x, wanted, size))
+            n, overlap = _way_out((a, there), pairs, overlaps, k, x, rules)
             if not overlap < math.inf or used == first + MOST_ADDED:
                 return _Parted(used, x, False)
             planes.normals[used], planes.needs[used], planes.at[used] = n, overlap + _along(x, n), x
             used += 1
         x, is_possible = least_translation(planes.normals[:used], planes.needs[:used])
-        if not is_possible or _along(x, x) > most * most:
+        if not is_possible or _along(x, x) > rules.most * rules.most:
             break
     return _Parted(used, x, False)
 
@@ -356,19 +374,19 @@ def _part(posed, x, rows, is_inside, rules, planes):
 @kernel
 def _part_back(posed, rules, planes):
     """A _Parted of first the direction back to where the two were one, if that is near enough."""
-    _, placings, _, size, most = rules
     a, b = posed
-    n, place, length = np.empty(3), placings[0].positions[0], 0.0
+    its = rules.placings[0]
+    n, place = np.empty(3), its.positions[0]
     for d in range(3):
         n[d] = 0.5 * max(a.corners[:, d].min(), b.corners[:, d].min())
         n[d] += 0.5 * min(a.corners[:, d].max(), b.corners[:, d].max())
-    x, y, z = turned_back(placings[0].rotations[0], n[0] - place[0], n[1] - place[1], n[2] - place[2])
+    x, y, z = turned_back(its.rotations[0], n[0] - place[0], n[1] - place[1], n[2] - place[2])
     n[0], n[1], n[2] = n[0] - x, n[1] - y, n[2] - z
     length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-    if not 0.0 < length <= most:
+    if not 0.0 < length <= rules.most:
         return _NOT_PARTED
     n /= length
-    overlap = _deepest(facing_points(a, b, n, 0.0, size), -(1.0 + ONE_PLACE) * length)
+    overlap = _deepest(facing_points(a, b, n, 0.0, rules.size), -(1.0 + ONE_PLACE) * length)
     planes.normals[0], planes.needs[0], planes.at[0] = n, overlap, np.zeros(3)
     return _part(posed, n * overlap, (1, 0), False, rules, planes)
 
@@ -376,13 +394,13 @@ def _part_back(posed, rules, planes):
 @kernel
 def _part_whole(posed, parted, rules, planes):
     """A _Parted of first that direction along which whole surfaces overlap least, if that is less than another's."""
-    given, _, wanted, size, most = rules
+    most = rules.most
     if parted.is_apart:
         most = min(most, math.sqrt(_along(parted.x, parted.x)))
     a, b = posed
     x = np.zeros(3)
-    pairs = pierced_pairs(a, b)
-    n, overlap = _way_out(posed, pairs, overlaps_of(a, b, pairs), _ALL, given, (x, wanted, size))
+    pairs = pierced_pairs(a, b, rules.along)
+    n, overlap = _way_out(posed, pairs, overlaps_of(a, b, pairs), _ALL, x, rules)
     if not overlap < most:
         return _NOT_PARTED
     planes.normals[0], planes.needs[0], planes.at[0] = n, overlap, x
@@ -452,13 +470,12 @@ def _along(x, n):
 
 
 @kernel
-def _way_out(posed, pairs, overlaps, part, given, rules):
+def _way_out(posed, pairs, overlaps, part, x, rules):
     """(direction (3,), how far [m] b must be moved along it to undo one overlap).
 
-    part: the number of the overlap, or _ALL; given (c, 3): directions of contacts found; rules: how far (3,) [m] b
-    was moved, Wanted, size of the smaller [m].
+    part: the number of the overlap, or _ALL; x (3,) [m]: how far b was moved.
     """
-    (a, b), (x, wanted, size) = posed, rules
+    (a, b), given, wanted, size = posed, rules.given, rules.wanted, rules.size
     toward, is_through = np.zeros(3), True
     if part != _ALL:
         toward[:] = overlaps.areas[part]
@@ -541,6 +558,11 @@ def _shifted(posed, x):
         for d in range(3):
             corners[k, d] = posed.corners[k, d] + x[d]
     return Posed(corners, posed.triangles, posed.normals, posed.edges, posed.beside, posed.is_sharp)
+
+
+@inlined_kernel
+def _distance(x, y):
+    return math.sqrt((x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2)
 
 
 @inlined_kernel

@@ -17,9 +17,10 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.mesh.connected_pieces import root_of
+from fracture_collision.core.patches.facing_points import axes_along, seen_along
 
 _OUTSIDE = -1  # of all overlaps
-_MOST_CELLS = 24  # of the grid, along each side
+ROUNDING = 1e-12  # of coordinates, as a share
 
 
 class Overlaps(NamedTuple):
@@ -32,100 +33,77 @@ class Overlaps(NamedTuple):
 
 
 @kernel
-def pierced_pairs(a, b):
-    """Pairs (k, 2) int64 of triangles of two Posed surfaces of which an edge of one passes through the other."""
-    low, high = np.empty(3), np.empty(3)
-    pairs, used = np.empty((16, 2), np.int64), 0
-    for d in range(3):
-        low[d] = max(a.corners[:, d].min(), b.corners[:, d].min())
-        high[d] = min(a.corners[:, d].max(), b.corners[:, d].max())
-        if high[d] < low[d]:
-            return pairs[:0]
-    near_a, near_b = _within(a, low, high), _within(b, low, high)
-    in_a, boxes_a, flat_a = near_a
-    in_b, boxes_b, flat_b = near_b
-    if len(in_a) == 0 or len(in_b) == 0:
-        return pairs[:0]
-    cells, per_cell = np.empty(3, np.int64), np.empty(3)
-    for d in range(3):
-        wide, mean = high[d] - low[d], (boxes_b[:, 3 + d] - boxes_b[:, d]).mean()
-        cells[d] = min(max(int(wide / mean), 1), _MOST_CELLS) if mean > 0.0 else 1
-        per_cell[d] = cells[d] / wide if wide > 0.0 else 0.0
-    begin, entries = _in_cells(boxes_b, low, cells, per_cell)
-    distances, first, last = np.empty(6), np.empty(3, np.int64), np.empty(3, np.int64)
-    for i in range(len(in_a)):
-        box = boxes_a[i]
-        x0, y0, z0, x1, y1, z1 = box[0], box[1], box[2], box[3], box[4], box[5]
-        _cells_of(box, low, cells, per_cell, first, last)
-        for u in range(first[0], last[0] + 1):
-            for v in range(first[1], last[1] + 1):
-                for w in range(first[2], last[2] + 1):
-                    cell = (u * cells[1] + v) * cells[2] + w
-                    for entry in range(begin[cell], begin[cell + 1]):
-                        j = entries[entry]
-                        if boxes_b[j, 0] > x1 or boxes_b[j, 3] < x0 or boxes_b[j, 1] > y1 or boxes_b[j, 4] < y0:
-                            continue
-                        if boxes_b[j, 2] > z1 or boxes_b[j, 5] < z0:
-                            continue
-                        if not _planes_cut(flat_a, i, flat_b, j, distances):
-                            continue
-                        if not _is_first_cell(box, boxes_b[j], low, cells, per_cell, (u, v, w)):
-                            continue
-                        for k in range(6):
-                            if _crossing_at(flat_a, i, flat_b, j, k, distances) >= 0.0:
-                                if used == len(pairs):
-                                    pairs = np.vstack((pairs, np.empty_like(pairs)))
-                                pairs[used, 0], pairs[used, 1] = in_a[i], in_b[j]
-                                used += 1
-                                break
-    return pairs[:used].copy()
+def pierced_pairs(a, b, n):
+    """Pairs (k, 2) int64 of triangles of two Posed surfaces of which an edge of one passes through the other.
+
+    n: see close_pairs.
+    """
+    return pierced_of(a, b, close_pairs(a, b, n, 0.0))
 
 
 @kernel
-def _in_cells(boxes, low, cells, per_cell):
-    """Boxes (k, 6) by the cells of a grid that they touch: first entry of each cell, and numbers of boxes."""
-    begin, entries = np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64), np.empty(0, np.int64)
-    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
-    for turn in range(2):
-        if turn == 1:
-            total = 0
-            for c in range(len(begin)):
-                total, begin[c] = total + begin[c], total
-            entries = np.empty(total, np.int64)
-        for k in range(len(boxes)):
-            _cells_of(boxes[k], low, cells, per_cell, first, last)
-            for u in range(first[0], last[0] + 1):
-                for v in range(first[1], last[1] + 1):
-                    for w in range(first[2], last[2] + 1):
-                        cell = (u * cells[1] + v) * cells[2] + w
-                        if turn == 1:
-                            entries[begin[cell]] = k
-                        begin[cell] += 1
-    for c in range(len(begin) - 1, 0, -1):
-        begin[c] = begin[c - 1]
-    begin[0] = 0
-    return begin, entries
+def close_pairs(a, b, n, reach):
+    """Pairs (k, 2) int64 of triangles that may pierce each other where b is moved by up to `reach` [m].
 
-
-@inlined_kernel
-def _cell(x, d, low, cells, per_cell):
-    return min(max(int((x - low[d]) * per_cell[d]), 0), cells[d] - 1)
-
-
-@inlined_kernel
-def _cells_of(box, low, cells, per_cell, first, last):
+    n: any unit vector; the less the surfaces overlap along it, the fewer triangles are looked at.
+    """
+    axes = axes_along(n)
+    of_a, of_b = seen_along(a.corners, axes), seen_along(b.corners, axes)
+    low, high, pairs, used, widest, size = np.empty(3), np.empty(3), np.empty((64, 2), np.int64), 0, 0, 0.0
     for d in range(3):
-        first[d] = _cell(box[d], d, low, cells, per_cell)
-        last[d] = _cell(box[3 + d], d, low, cells, per_cell)
+        low[d], high[d] = max(of_a[:, d].min(), of_b[:, d].min()), min(of_a[:, d].max(), of_b[:, d].max())
+        size = max(size, abs(low[d]), abs(high[d]))
+        if high[d] - low[d] > high[widest] - low[widest]:
+            widest = d
+    slack = reach + ROUNDING * size
+    for d in range(3):
+        low[d], high[d] = low[d] - slack, high[d] + slack
+        if high[d] < low[d]:
+            return pairs[:0]
+    rows_a, boxes_a = _within(a.triangles, of_a, low, high, slack, widest)
+    rows_b, boxes_b = _within(b.triangles, of_b, low, high, 0.0, widest)
+    flat_a, flat_b = _flat(a, rows_a), _flat(b, rows_b)
+    distances, hits, i, j = np.empty(6), np.empty(max(len(rows_a), len(rows_b)), np.int64), 0, 0
+    while i < len(rows_a) and j < len(rows_b):
+        is_of_a = boxes_a[i, widest] <= boxes_b[j, widest]
+        count = _swept(boxes_a, i, boxes_b, j, widest, hits) if is_of_a else _swept(boxes_b, j, boxes_a, i, widest, hits)
+        for k in range(count):
+            t, s = (i, hits[k]) if is_of_a else (hits[k], j)
+            if _planes_cut(flat_a, t, flat_b, s, slack, distances):
+                if used == len(pairs):
+                    pairs = np.vstack((pairs, np.empty_like(pairs)))
+                pairs[used, 0], pairs[used, 1] = rows_a[t], rows_b[s]
+                used += 1
+        i, j = i + is_of_a, j + (not is_of_a)
+    return pairs[:used]
 
 
 @inlined_kernel
-def _is_first_cell(box, other, low, cells, per_cell, cell):
-    """Whether the lower corner of what two boxes share is in a cell: they may share several."""
-    is_first = True
-    for d in range(3):
-        is_first = is_first and _cell(max(box[d], other[d]), d, low, cells, per_cell) == cell[d]
-    return is_first
+def _swept(own, row, others, first, along, hits):
+    """Write the rows, from `first` on, of boxes that meet one's own and begin no earlier; returns their number."""
+    x0, y0, z0, x1, y1, z1 = own[row, 0], own[row, 1], own[row, 2], own[row, 3], own[row, 4], own[row, 5]
+    end, count = own[row, 3 + along], 0
+    for k in range(first, len(others)):
+        if others[k, along] > end:
+            break
+        hits[count] = k
+        count += (
+            (others[k, 0] <= x1) & (others[k, 3] >= x0) & (others[k, 1] <= y1) & (others[k, 4] >= y0)
+            & (others[k, 2] <= z1) & (others[k, 5] >= z0)
+        )  # fmt: skip
+    return count
+
+
+@kernel
+def pierced_of(a, b, close):
+    """Those of the pairs `close` (k, 2) that pierce each other."""
+    flat_a, flat_b = _flat(a, close[:, 0]), _flat(b, close[:, 1])
+    distances, pierced = np.empty(6), np.zeros(len(close), np.bool_)
+    for k in range(len(close)):
+        if _planes_cut(flat_a, k, flat_b, k, 0.0, distances):
+            for edge in range(6):
+                pierced[k] = pierced[k] or _crossing_at(flat_a, k, flat_b, k, edge, distances) >= 0.0
+    return close[pierced]
 
 
 @kernel
@@ -137,7 +115,7 @@ def overlaps_of(a, b, pairs):
     flat_a, flat_b = _flat(a, pairs[:, 0]), _flat(b, pairs[:, 1])
     for k in range(len(pairs)):
         t, s = pairs[k]
-        _planes_cut(flat_a, k, flat_b, k, distances)
+        _planes_cut(flat_a, k, flat_b, k, 0.0, distances)
         found = 0
         for edge in range(6):
             share = _crossing_at(flat_a, k, flat_b, k, edge, distances)
@@ -248,20 +226,29 @@ def _join(parent, j, k):
 
 
 @kernel
-def _within(posed, low, high):
-    """Triangles (k,) whose boxes meet a box, their boxes (k, 6) [m], and _flat of them."""
-    out, boxes, used = np.empty(len(posed.triangles), np.int64), np.empty((len(posed.triangles), 6)), 0
-    for t in range(len(posed.triangles)):
-        p, q, r = posed.triangles[t]
-        meets = True
+def _within(triangles, places, low, high, by, along):
+    """Triangles (k,) whose boxes meet a box, and their boxes (k, 6) [m], wider by `by` [m]; by where they begin."""
+    beyond = np.zeros(len(places), np.uint8)  # a bit for each side of the box
+    for c in range(len(places)):
         for d in range(3):
-            x, y, z = posed.corners[p, d], posed.corners[q, d], posed.corners[r, d]
-            boxes[used, d], boxes[used, 3 + d] = min(x, y, z), max(x, y, z)
-            meets = meets and boxes[used, d] <= high[d] and boxes[used, 3 + d] >= low[d]
-        if meets:
-            out[used] = t
-            used += 1
-    return out[:used], boxes[:used], _flat(posed, out[:used])
+            x = places[c, d]
+            beyond[c] |= ((x + by < low[d]) << (2 * d)) | ((x - by > high[d]) << (2 * d + 1))
+    rows, used = np.empty(len(triangles), np.int64), 0
+    for t in range(len(triangles)):
+        rows[used] = t
+        used += beyond[triangles[t, 0]] & beyond[triangles[t, 1]] & beyond[triangles[t, 2]] == 0
+    begin = np.empty(used)
+    for k in range(used):
+        p, q, r = triangles[rows[k]]
+        begin[k] = min(places[p, along], places[q, along], places[r, along])
+    rows = rows[np.argsort(begin)]
+    boxes = np.empty((used, 6))
+    for k in range(used):
+        p, q, r = triangles[rows[k]]
+        for d in range(3):
+            x, y, z = places[p, d], places[q, d], places[r, d]
+            boxes[k, d], boxes[k, 3 + d] = min(x, y, z) - by, max(x, y, z) + by
+    return rows, boxes
 
 
 @kernel
@@ -280,18 +267,18 @@ def _flat(posed, rows):
 
 
 @inlined_kernel
-def _planes_cut(a, i, b, j, distances):
-    """Whether rows of two _flat have corners on both sides of each other's plane.
+def _planes_cut(a, i, b, j, reach, distances):
+    """Whether rows of two _flat have corners on both sides of each other's plane, or no farther from it than `reach`.
 
     distances (6,): of a's corners from b's plane [m], then of b's from a's; positive outside.
     """
     for k in range(3):
         distances[k] = _above(b, j, a, i, k)
-    if not min(distances[0], distances[1], distances[2]) < 0.0 < max(distances[0], distances[1], distances[2]):
+    if min(distances[0], distances[1], distances[2]) >= reach or max(distances[0], distances[1], distances[2]) <= -reach:
         return False
     for k in range(3):
         distances[3 + k] = _above(a, i, b, j, k)
-    return min(distances[3], distances[4], distances[5]) < 0.0 < max(distances[3], distances[4], distances[5])
+    return min(distances[3], distances[4], distances[5]) < reach and -reach < max(distances[3], distances[4], distances[5])
 
 
 @inlined_kernel
