@@ -84,10 +84,10 @@ def facing_points(a, b, n, limit, size):
     of_a, of_b = seen_along(a.corners, axes), seen_along(b.corners, axes)
     view = _View(np.empty(6), limit, ON_RIM * size)
     window, _, rim = view
+    box_a, box_b = box_around(of_a), box_around(of_b)
     for d in range(2):
-        window[2 * d] = max(of_a[:, d].min(), of_b[:, d].min()) - rim
-        window[2 * d + 1] = min(of_a[:, d].max(), of_b[:, d].max()) + rim
-    window[4], window[5] = of_b[:, 2].min(), of_a[:, 2].max()
+        window[2 * d], window[2 * d + 1] = max(box_a[d], box_b[d]) - rim, min(box_a[3 + d], box_b[3 + d]) + rim
+    window[4], window[5] = box_b[2], box_a[5]
     room = 64
     points, gaps, features, count = np.empty((room, 3)), np.empty(room), np.empty((room, 3), np.int64), 0
     found = FacingPoints(points, gaps, features)
@@ -103,6 +103,16 @@ def facing_points(a, b, n, limit, size):
         for d in range(3):
             points[k, d] = u * axes[0, d] + v * axes[1, d] + h * axes[2, d]
     return FacingPoints(points[:count].copy(), gaps[:count].copy(), features[:count].copy())
+
+
+@kernel
+def box_around(places):
+    """Least and most (6,) [m] of the columns of places (k, 3): an order of magnitude faster than min() of each."""
+    box = np.array([math.inf, math.inf, math.inf, -math.inf, -math.inf, -math.inf])
+    for k in range(len(places)):
+        for d in range(3):
+            box[d], box[3 + d] = min(box[d], places[k, d]), max(box[3 + d], places[k, d])
+    return box
 
 
 @kernel

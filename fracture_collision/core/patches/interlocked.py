@@ -35,7 +35,7 @@ from fracture_collision.core.memory.kinds import TETRAHEDRA, WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import GrowableArray, Pools
 from fracture_collision.core.memory.rotations import turned_back
-from fracture_collision.core.patches.facing_points import FacingPoints, Posed, facing_points
+from fracture_collision.core.patches.facing_points import FacingPoints, Posed, box_around, facing_points
 from fracture_collision.core.patches.least_translation import least_translation
 from fracture_collision.core.patches.pair_contacts import (
     MOVED,
@@ -47,7 +47,7 @@ from fracture_collision.core.patches.pair_contacts import (
     put_contact,
     seen_from,
 )
-from fracture_collision.core.patches.piercing import close_pairs, overlaps_of, pierced_of, pierced_pairs
+from fracture_collision.core.patches.piercing import close_pairs, in_order, overlaps_of, pierced_of, pierced_pairs
 from fracture_collision.core.patches.shapes import Shapes, triangles_of
 from fracture_collision.core.patches.surface import Surface, make_surface
 from fracture_collision.core.search.kept_answer import PairContacts
@@ -107,12 +107,20 @@ class SurfaceTable:
             nothing = np.full((more, 3), -1)
             self._begin, self._end = np.vstack((self._begin, nothing)), np.vstack((self._end, nothing))
         for f in rows[self._begin[rows, 0] < 0].tolist():
-            made = make_surface(triangles_of(pools, f, f + 1)[0])
+            triangles, _ = triangles_of(pools, f, f + 1)
+            made = make_surface(triangles[in_order(triangles)])
             self._begin[f] = [self._columns[k].used for k in (0, 1, 3)]
             for column, values in zip(self._columns, made, strict=True):
                 column.append(values)
             self._end[f] = [self._columns[k].used for k in (0, 1, 3)]
         return Surfaces(self._begin, self._end, Surface(*(column.view for column in self._columns)))
+
+
+class _Chosen(NamedTuple):
+    """Pairs to be looked at."""
+
+    pairs: np.ndarray  # (k,) int64
+    along: np.ndarray  # (m, 3) unit: a direction of each along which their hulls overlap little; m >= k
 
 
 class _Out(NamedTuple):
@@ -136,9 +144,9 @@ def part_interlocked(
     """
     (shapes, todo), (rule, most), (scratch, crew) = work, rules, own
     offsets = begins_of(found.counts)
-    chosen = np.empty(len(todo), np.int64)
+    chosen = _Chosen(np.empty(len(todo), np.int64), np.empty((len(todo), 3)))
     used = _candidates(pools, (step, todo), shapes.is_convex, rule, (found.gaps, offsets), scratch[0], chosen)
-    todo = chosen[:used]
+    todo = chosen.pairs[:used]
     if not len(todo) or rule.wanted > MOST_WANTED:
         return found, todo
     surfaces = table.of(pools, np.unique(step.rows[step.pairs[todo]]))
@@ -146,7 +154,8 @@ def part_interlocked(
     spare = (most - len(found.gaps)) // len(todo)
     sink = Sink(np.empty((len(todo) * wanted, 10)), np.empty((len(todo) * wanted, 5), np.int64))
     out = _Out(np.full(p, _LEAVE), found.bounds.copy(), np.ones(len(found.gaps), np.bool_), sink)
-    crew.share(_part_share, (pools, surfaces), (step, motion), todo, rule, (found, offsets, spare), out, own=scratch)
+    chosen = _Chosen(todo, chosen.along)
+    crew.share(_part_share, (pools, surfaces), (step, motion), chosen, rule, (found, offsets, spare), out, own=scratch)
     changed = np.flatnonzero(out.counts >= 0)
     if not len(changed):
         return found._replace(bounds=out.bounds), changed
@@ -161,7 +170,7 @@ def part_interlocked(
 
 @query_kernel
 def _candidates(pools, pairs, is_convex, rule, found, scratch, out):
-    """Write the pairs that are to be looked at to `out`; returns their number.
+    """Write the pairs that are to be looked at to a _Chosen; returns their number.
 
     pairs: the Step and the numbers of its pairs that are asked about; found: gaps of contacts, and their offsets.
     """
@@ -178,24 +187,27 @@ def _candidates(pools, pairs, is_convex, rule, found, scratch, out):
         for c in range(offsets[p], offsets[p + 1]):
             least = min(least, gaps[c])
         is_one = least < -LEAST * rule.near * radius
-        # samples of fragments are as close to each other as their faces are large
-        if not is_one and kind_a == TETRAHEDRA and kind_b == TETRAHEDRA:
+        # samples of fragments are as close to each other as their faces are large: where they touch, some are near
+        if not is_one and kind_a == TETRAHEDRA and kind_b == TETRAHEDRA and least < math.inf:
             continue
+        out.along[used] = 0.0, 0.0, 1.0
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
         if share_a_body(pools, pair.a, pair.b) and MOVED * displacement(pools, pair, IN_PLACE) <= rule.epsilon * radius:
             continue
         if not is_one:
             scratch.toward[0] = scratch.toward[1] = scratch.toward[2] = 0.0
-            is_one = gap_of_hulls(pools, pair, 0.0, scratch.toward, scratch)[0] < -rule.epsilon * radius
+            gap, x, y, z = gap_of_hulls(pools, pair, 0.0, scratch.toward, scratch)
+            is_one = gap < -rule.epsilon * radius
+            out.along[used] = x, y, z
         if is_one:
-            out[used] = p
+            out.pairs[used] = p
             used += 1
     return used
 
 
 @threaded_kernel
-def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
-    """Process every pair of `todo` that is a thread's, see Crew.share.
+def _part_share(geometry, moving, chosen, rule, known, out, scratch, part):
+    """Process every pair of a _Chosen that is a thread's, see Crew.share.
 
     known: PairContacts, their offsets, and how many contacts more each pair may have.
     """
@@ -204,8 +216,8 @@ def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
     found, offsets, spare = known
     thread, threads = part
     wanted = min(rule.wanted, rule.limit)
-    for turn in range(thread, len(todo), threads):
-        p = todo[turn]
+    for turn in range(thread, len(chosen.pairs), threads):
+        p = chosen.pairs[turn]
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
         radius = min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
         moved = math.inf
@@ -215,7 +227,7 @@ def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
         rows = offsets[p], offsets[p + 1]
         most = min(rule.limit, rows[1] - rows[0] + spare)
         is_sampled = pools.fragment.kind[pair.a] == TETRAHEDRA and pools.fragment.kind[pair.b] == TETRAHEDRA
-        its = Wanted(rule.near * radius, moved, min(wanted, most)), most, is_sampled
+        its = Wanted(rule.near * radius, moved, min(wanted, most)), most, is_sampled, chosen.along[turn]
         begin, end = wanted * turn, wanted * turn + min(wanted, most)
         sink = Sink(out.found.contacts[begin:end], out.found.ids[begin:end])
         out.counts[p], out.bounds[p] = put_interlocked(
@@ -236,6 +248,7 @@ class _Rules(NamedTuple):
     along: np.ndarray  # (3,) that of the deepest: see close_pairs
     placings: tuple[Placing, Placing]
     wanted: Wanted
+    boxes: tuple[np.ndarray, np.ndarray]  # (6,) [m] around each: least and most
     size: float  # [m] of the smaller
     most: float  # [m] how long the translation may be
 
@@ -255,17 +268,19 @@ _NOT_PARTED = _Parted(0, np.zeros(3), False)
 def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     """Write contacts that part what overlaps of a Pair to a Sink; marks which of the known ones stay.
 
-    wanted: Wanted, how many contacts the pair may have, whether both are full of samples; known: normals (c, 3), from a to b in the world, and gaps (c,)
+    wanted: Wanted, how many contacts the pair may have, whether both are full of samples, a direction (3,), along which
+    the hulls overlap little; known: normals (c, 3), from a to b in the world, and gaps (c,)
     [m] of all contacts, the pair's rows of these. Returns (contacts, -1: the pair stays as it is; bound [m]).
     """
-    wanted, most_contacts, is_sampled = wanted
+    wanted, most_contacts, is_sampled, hulls = wanted
     tolerance = wanted.near
     normals, gaps, (begin, end) = known
     rotation = moving.rotations[moving.j]
     placings = _placings(moving)
     a = posed_at(_surface_at(surfaces, pair.a), placings[0], 0.0)
     b = posed_at(_surface_at(surfaces, pair.b), placings[1], 0.0)
-    size = min(_size(a.corners), _size(b.corners))
+    boxes = box_around(a.corners), box_around(b.corners)
+    size = min(_longest(boxes[0]), _longest(boxes[1]))
     found, deepest = end - begin, 0.0
     rows = found + MOST_ADDED
     planes = _Planes(np.empty((rows, 3)), np.empty(rows), np.empty((rows, 3)))
@@ -274,14 +289,14 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
         planes.normals[c] = turned_back(rotation, n[0], n[1], n[2])
         planes.needs[c] = -gaps[begin + c]
         deepest = max(deepest, -gaps[begin + c])
-    given, along = planes.normals[:found].copy(), np.array([0.0, 0.0, 1.0])
+    given, along = planes.normals[:found].copy(), hulls.copy()
     for c in range(found):
         if planes.needs[c] == deepest:
             along[:] = given[c]
     # pieces in place interlock: what parts them sideways is no way out
     likely = MOST_TIMES * deepest + MORE * tolerance
     most = max(likely, wanted.moved)
-    rules = _Rules(given, along, placings, wanted, size, most)
+    rules = _Rules(given, along, placings, wanted, boxes, size, most)
     # samples that are deep in something thin may be past its middle, and contradict each other
     x, is_possible = least_translation(given, planes.needs[:found])
     is_asked = is_possible and deepest <= DEEP * tolerance
@@ -297,7 +312,7 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
         if whole.is_apart or not parted.is_apart:
             parted, first = whole, 0
     x = parted.x
-    bound = min(_box_overlap(a, b), wanted.moved)
+    bound = min(_box_overlap(boxes), wanted.moved)
     if parted.is_apart:
         bound = min(bound, math.sqrt(_along(x, x)))
     count = 0
@@ -378,8 +393,7 @@ def _part_back(posed, rules, planes):
     its = rules.placings[0]
     n, place = np.empty(3), its.positions[0]
     for d in range(3):
-        n[d] = 0.5 * max(a.corners[:, d].min(), b.corners[:, d].min())
-        n[d] += 0.5 * min(a.corners[:, d].max(), b.corners[:, d].max())
+        n[d] = 0.5 * max(rules.boxes[0][d], rules.boxes[1][d]) + 0.5 * min(rules.boxes[0][3 + d], rules.boxes[1][3 + d])
     x, y, z = turned_back(its.rotations[0], n[0] - place[0], n[1] - place[1], n[2] - place[2])
     n[0], n[1], n[2] = n[0] - x, n[1] - y, n[2] - z
     length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
@@ -573,14 +587,12 @@ def _lengthen(x, by):
             x[d] *= 1.0 + by / length
 
 
-@kernel
-def _box_overlap(a, b):
+@inlined_kernel
+def _box_overlap(boxes):
     """How far [m] b must be moved along an axis at most."""
-    least = math.inf
+    a, b, least = boxes[0], boxes[1], math.inf
     for d in range(3):
-        low_a, high_a = a.corners[:, d].min(), a.corners[:, d].max()
-        low_b, high_b = b.corners[:, d].min(), b.corners[:, d].max()
-        least = min(least, high_a - low_b, high_b - low_a)
+        least = min(least, a[3 + d] - b[d], b[3 + d] - a[d])
     return max(least, 0.0)
 
 
@@ -593,12 +605,9 @@ def _surface_at(surfaces, f):
     )  # fmt: skip
 
 
-@kernel
-def _size(corners):
-    size = 0.0
-    for d in range(3):
-        size = max(size, corners[:, d].max() - corners[:, d].min())
-    return size
+@inlined_kernel
+def _longest(box):
+    return max(box[3] - box[0], box[4] - box[1], box[5] - box[2])
 
 
 @inlined_kernel

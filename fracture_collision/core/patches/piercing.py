@@ -17,9 +17,11 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.mesh.connected_pieces import root_of
-from fracture_collision.core.patches.facing_points import axes_along, seen_along
+from fracture_collision.core.patches.facing_points import axes_along, box_around, seen_along
+from fracture_collision.core.tree.sample_leaves import place_on_curve
 
 _OUTSIDE = -1  # of all overlaps
+BLOCK = 8  # triangles whose common box is looked at first
 ROUNDING = 1e-12  # of coordinates, as a share
 
 
@@ -49,49 +51,62 @@ def close_pairs(a, b, n, reach):
     """
     axes = axes_along(n)
     of_a, of_b = seen_along(a.corners, axes), seen_along(b.corners, axes)
-    low, high, pairs, used, widest, size = np.empty(3), np.empty(3), np.empty((64, 2), np.int64), 0, 0, 0.0
+    low, high, pairs, used, size = np.empty(3), np.empty(3), np.empty((64, 2), np.int64), 0, 0.0
+    box_a, box_b = box_around(of_a), box_around(of_b)
     for d in range(3):
-        low[d], high[d] = max(of_a[:, d].min(), of_b[:, d].min()), min(of_a[:, d].max(), of_b[:, d].max())
+        low[d], high[d] = max(box_a[d], box_b[d]), min(box_a[3 + d], box_b[3 + d])
         size = max(size, abs(low[d]), abs(high[d]))
-        if high[d] - low[d] > high[widest] - low[widest]:
-            widest = d
     slack = reach + ROUNDING * size
     for d in range(3):
         low[d], high[d] = low[d] - slack, high[d] + slack
         if high[d] < low[d]:
             return pairs[:0]
-    rows_a, boxes_a = _within(a.triangles, of_a, low, high, slack, widest)
-    rows_b, boxes_b = _within(b.triangles, of_b, low, high, 0.0, widest)
+    rows_a, boxes_a = _within(a.triangles, of_a, low, high, slack)
+    rows_b, boxes_b = _within(b.triangles, of_b, low, high, 0.0)
     flat_a, flat_b = _flat(a, rows_a), _flat(b, rows_b)
-    distances, hits, i, j = np.empty(6), np.empty(max(len(rows_a), len(rows_b)), np.int64), 0, 0
-    while i < len(rows_a) and j < len(rows_b):
-        is_of_a = boxes_a[i, widest] <= boxes_b[j, widest]
-        count = _swept(boxes_a, i, boxes_b, j, widest, hits) if is_of_a else _swept(boxes_b, j, boxes_a, i, widest, hits)
-        for k in range(count):
-            t, s = (i, hits[k]) if is_of_a else (hits[k], j)
-            if _planes_cut(flat_a, t, flat_b, s, slack, distances):
-                if used == len(pairs):
-                    pairs = np.vstack((pairs, np.empty_like(pairs)))
-                pairs[used, 0], pairs[used, 1] = rows_a[t], rows_b[s]
-                used += 1
-        i, j = i + is_of_a, j + (not is_of_a)
+    blocks_a, blocks_b = _blocks(boxes_a), _blocks(boxes_b)
+    near, hits, distances = np.empty(len(blocks_b), np.int64), np.empty(BLOCK, np.int64), np.empty(6)
+    for i in range(len(blocks_a)):
+        many = _meeting(blocks_a, i, blocks_b, 0, near)
+        for t in range(i * BLOCK, min((i + 1) * BLOCK, len(rows_a))):
+            for k in range(many):
+                if not _meeting(boxes_a, t, blocks_b[near[k] : near[k] + 1], 0, hits):
+                    continue
+                first = near[k] * BLOCK
+                for h in range(_meeting(boxes_a, t, boxes_b[first : first + BLOCK], first, hits)):
+                    s = hits[h]
+                    if _planes_cut(flat_a, t, flat_b, s, slack, distances):
+                        if used == len(pairs):
+                            pairs = np.vstack((pairs, np.empty_like(pairs)))
+                        pairs[used, 0], pairs[used, 1] = rows_a[t], rows_b[s]
+                        used += 1
     return pairs[:used]
 
 
 @inlined_kernel
-def _swept(own, row, others, first, along, hits):
-    """Write the rows, from `first` on, of boxes that meet one's own and begin no earlier; returns their number."""
+def _meeting(own, row, others, first, hits):
+    """Write the rows, counted from `first`, of `others` (k, 6) that meet a row of `own` (n, 6); returns their number."""
     x0, y0, z0, x1, y1, z1 = own[row, 0], own[row, 1], own[row, 2], own[row, 3], own[row, 4], own[row, 5]
-    end, count = own[row, 3 + along], 0
-    for k in range(first, len(others)):
-        if others[k, along] > end:
-            break
-        hits[count] = k
+    count = 0
+    for k in range(len(others)):
+        hits[count] = first + k
         count += (
             (others[k, 0] <= x1) & (others[k, 3] >= x0) & (others[k, 1] <= y1) & (others[k, 4] >= y0)
             & (others[k, 2] <= z1) & (others[k, 5] >= z0)
         )  # fmt: skip
     return count
+
+
+@kernel
+def _blocks(boxes):
+    """Boxes (k, 6) around each BLOCK of boxes (n, 6)."""
+    out = np.empty((-(-len(boxes) // BLOCK), 6))
+    for i in range(len(out)):
+        out[i] = boxes[i * BLOCK]
+        for k in range(i * BLOCK + 1, min((i + 1) * BLOCK, len(boxes))):
+            for d in range(3):
+                out[i, d], out[i, 3 + d] = min(out[i, d], boxes[k, d]), max(out[i, 3 + d], boxes[k, 3 + d])
+    return out
 
 
 @kernel
@@ -226,8 +241,8 @@ def _join(parent, j, k):
 
 
 @kernel
-def _within(triangles, places, low, high, by, along):
-    """Triangles (k,) whose boxes meet a box, and their boxes (k, 6) [m], wider by `by` [m]; by where they begin."""
+def _within(triangles, places, low, high, by):
+    """Triangles (k,) whose boxes meet a box, and their boxes (k, 6) [m], wider by `by` [m]."""
     beyond = np.zeros(len(places), np.uint8)  # a bit for each side of the box
     for c in range(len(places)):
         for d in range(3):
@@ -237,18 +252,27 @@ def _within(triangles, places, low, high, by, along):
     for t in range(len(triangles)):
         rows[used] = t
         used += beyond[triangles[t, 0]] & beyond[triangles[t, 1]] & beyond[triangles[t, 2]] == 0
-    begin = np.empty(used)
-    for k in range(used):
-        p, q, r = triangles[rows[k]]
-        begin[k] = min(places[p, along], places[q, along], places[r, along])
-    rows = rows[np.argsort(begin)]
     boxes = np.empty((used, 6))
     for k in range(used):
         p, q, r = triangles[rows[k]]
         for d in range(3):
             x, y, z = places[p, d], places[q, d], places[r, d]
             boxes[k, d], boxes[k, 3 + d] = min(x, y, z) - by, max(x, y, z) + by
-    return rows, boxes
+    return rows[:used], boxes
+
+
+@kernel
+def in_order(triangles):
+    """Rows (n,) of triangles (n, 9) [m] along a curve on which near ones are near: close_pairs is quick with these."""
+    low, high, middles = np.full(3, math.inf), np.full(3, -math.inf), np.empty((len(triangles), 3))
+    for t in range(len(triangles)):
+        for d in range(3):
+            middles[t, d] = (triangles[t, d] + triangles[t, 3 + d] + triangles[t, 6 + d]) / 3.0
+            low[d], high[d] = min(low[d], middles[t, d]), max(high[d], middles[t, d])
+    places = np.empty(len(triangles), np.uint32)
+    for t in range(len(triangles)):
+        places[t] = place_on_curve(middles[t], low, high)
+    return np.argsort(places, kind="mergesort")
 
 
 @kernel
