@@ -295,14 +295,14 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
             along[:] = given[c]
     # pieces in place interlock: what parts them sideways is no way out
     likely = MOST_TIMES * deepest + MORE * tolerance
-    most = max(likely, wanted.moved)
+    is_shallow = is_sampled and deepest <= DEEP * tolerance
+    most = likely if is_shallow else max(likely, wanted.moved)
     rules = _Rules(given, along, placings, wanted, boxes, size, most)
     # samples that are deep in something thin may be past its middle, and contradict each other
     x, is_possible = least_translation(given, planes.needs[:found])
     is_asked = is_possible and deepest <= DEEP * tolerance
     parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
     first = found if parted.is_apart else 0
-    is_shallow = is_sampled and deepest <= DEEP * tolerance
     if not parted.is_apart and not is_shallow:
         parted = _part((a, b), np.zeros(3), (0, 0), deepest > DEEP * tolerance, rules, planes)
     if not is_shallow and not parted.is_apart and wanted.moved < math.inf:
