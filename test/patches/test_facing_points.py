@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.core.patches.facing_points import FacingPoints, Posed, _axes, facing_points
+from fracture_collision.core.patches.facing_points import FacingPoints, Posed, axes_along, facing_points
 from fracture_collision.core.patches.surface import Surface, make_surface
 
 SHAPES = {
@@ -66,7 +66,7 @@ def test_no_ray_finds_less_than_the_least_gap() -> None:
         n = random.normal(size=3)
         n /= np.linalg.norm(n)
         found: FacingPoints = facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), n, 1e9, 1.0)
-        axes = _axes(n)
+        axes = axes_along(n)
         seen_a, seen_b = (mesh.vertices @ axes.T for mesh in pair)
         low = np.maximum(seen_a.min(axis=0), seen_b.min(axis=0))
         high = np.minimum(seen_a.max(axis=0), seen_b.max(axis=0))

@@ -102,7 +102,7 @@ def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch)
     size = 2.0 * (_half_diagonal(pools.fragment.box[a]) + _half_diagonal(pools.fragment.box[b]))
     origin = pools.fragment.middle[a]
     origin = to_other(rotation[0], translation[0], origin[0], origin[1], origin[2])
-    around, enough = margin + ROUNDING * size, MATTERS * rule.epsilon * (1.0 - ROUNDING)
+    around, enough = margin + ROUNDING * size, MATTERS * listing.shallow * (1.0 - ROUNDING)
     window = Window(margin, reach, turn, farthest, size, enough)
     group, first_of_group, near_leaves = -1, 0, 0
     for i in range(many):
@@ -131,12 +131,13 @@ def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch)
                     is_carried = True
                     _carry_ridge(edges.rows[edges.first[a] + of_a[i]], rotation[0], translation[0], row)
                 other = edges.rows[edges.first[b] + j]
-                if reach > 0.0 and may_cross(row, other, rule, rule.near + reach, farthest + reach, turn):
+                if reach > 0.0 and may_cross(row, other, listing.shallow, rule.near + reach, farthest + reach, turn):
                     if pairs < len(listing.ridges):
                         listing.ridges[pairs, 0], listing.ridges[pairs, 1] = of_a[i], j
                     pairs += 1
                 ridges = RidgePair(np.int64(of_a[i]), np.int64(j), row, other)
-                count, deep = _add(pools, pair, ridges, rule, (deepest, most), (count, deep), scratch)
+                limits = listing.shallow, deepest, most
+                count, deep = _add(pools, pair, ridges, rule, limits, (count, deep), scratch)
     return count, deep, pairs
 
 
@@ -154,7 +155,7 @@ def add_listed_crossings(pools, edges, pair, rule, listing, separation, found, s
             _carry_ridge(own, rotation[0], translation[0], row)
             carried = i
         ridges = RidgePair(np.int64(i), np.int64(j), row, other)
-        count, deep = _add(pools, pair, ridges, rule, (deepest, most), (count, deep), scratch)
+        count, deep = _add(pools, pair, ridges, rule, (listing.shallow, deepest, most), (count, deep), scratch)
     return count, deep
 
 
@@ -204,12 +205,12 @@ def _carry_ridge(own, rotation, translation, row):
 def _add(pools, pair, ridges, rule, limits, found, scratch):
     """Store the contact of a RidgePair, if there is one; returns the new `found` (count, deep).
 
-    limits: depth [m] down to which crossings are searched, and how many candidates are stored at most.
+    limits: Listing.shallow, depth [m] down to which crossings are searched, and how many candidates are stored at most.
     """
     count, deep = found
-    deepest, most = limits
+    shallow, deepest, most = limits
     c = scratch.ridge_work.meeting
-    if count >= most or not crossing(ridges.r, ridges.s, rule, deepest, c):
+    if count >= most or not crossing(ridges.r, ridges.s, shallow, rule.near, deepest, c):
         return count, deep
     gap = c[9]
     if gap < 0.0 and not overlap(pools, pair, ridges.r, ridges.s, c, scratch):

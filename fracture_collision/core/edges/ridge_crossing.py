@@ -32,22 +32,22 @@ OF_TURN = 1.6
 
 
 @inlined_kernel
-def matters(r, s, epsilon):
+def matters(r, s, shallow):
     """Whether two ridges can cross deeper than samples at their ends show.
 
     One as long as r enters what turns as little as s only to a depth of about a quarter of their product.
     """
-    return min(r[LENGTH] * s[TURN], s[LENGTH] * r[TURN]) >= MATTERS * epsilon
+    return min(r[LENGTH] * s[TURN], s[LENGTH] * r[TURN]) >= MATTERS * shallow
 
 
 @inlined_kernel
-def may_cross(r, s, rule, near, deep, turn):
+def may_cross(r, s, shallow, near, deep, turn):
     """Whether ridges r, of a, and s, of b, may cross after a rotation of no more than `turn`.
 
-    rule: ridges that do not matter by its epsilon do not cross. True if the direction across both, with either sign,
+    shallow [m]: see Listing. True if the direction across both, with either sign,
     may point out of both, and their distance along it is between -deep and near [m]; also for parallel ridges.
     """
-    if not matters(r, s, rule.epsilon):
+    if not matters(r, s, shallow):
         return False
     nx, ny, nz, sine, along = _across(r, s)
     if not sine > 0.0:
@@ -85,20 +85,20 @@ def _points_out(r, s, nx, ny, nz, room):
 
 
 @inlined_kernel
-def crossing(r, s, rule, deep, out):
-    """Whether ridges r, of a, and s, of b, cross, no deeper than `deep` [m], by a Rule.
+def crossing(r, s, shallow, near, deep, out):
+    """Whether ridges r, of a, and s, of b, cross, with a gap from -deep to near [m].
 
-    If so, writes to `out` (10,) a point of r, one of s, the direction out of b, and the gap [m], as in a Sink for a
-    sample of a.
+    shallow [m]: see Listing. If so, writes to `out` (10,) a point of r, one of s, the direction out of b, and the gap
+    [m], as in a Sink for a sample of a.
     """
-    if not matters(r, s, rule.epsilon):
+    if not matters(r, s, shallow):
         return False
     nx, ny, nz, sine, gap = _across(r, s)
     if not sine >= LEAST_SINE:
         return False
     if nx * (s[12] - r[12]) + ny * (s[13] - r[13]) + nz * (s[14] - r[14]) < 0.0:
         nx, ny, nz, gap = -nx, -ny, -nz, -gap
-    if not -deep <= gap <= rule.near or not _points_out(r, s, nx, ny, nz, BEYOND_FACE):
+    if not -deep <= gap <= near or not _points_out(r, s, nx, ny, nz, BEYOND_FACE):
         return False
     ux, uy, uz = (r[3] - r[0]) / r[LENGTH], (r[4] - r[1]) / r[LENGTH], (r[5] - r[2]) / r[LENGTH]
     vx, vy, vz = (s[3] - s[0]) / s[LENGTH], (s[4] - s[1]) / s[LENGTH], (s[5] - s[2]) / s[LENGTH]

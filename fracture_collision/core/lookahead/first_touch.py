@@ -61,7 +61,8 @@ FARTHEST_REACH = 0.2
 TO_THE_END = 1.001
 # If more than MOST_AHEAD samples are within reach, it is reduced by a factor, up to a number of times.
 NARROWER, NARROWINGS = 0.25, 5
-# The search stops where a contact found before would be as deep as this share of R, or as THIN.
+# The search stops where a contact found before would be as deep as this share of R, or as THIN. Ridges that cross no
+# deeper before their ends are inside are left to the next query: there are many on smooth bodies.
 HELD = 0.03
 # Minimum step of pairs that touch already, as a share of the thinner one's thickness.
 SHORTEST_OF_THIN = 0.1
@@ -200,13 +201,14 @@ def near_now(pools, edges, pair, rule, search, listed, sink, scratch):
     ways, toward = scratch.ahead_ways, scratch.ahead_toward
     ahead = min(far, max(AHEAD * radius, AHEAD_ON_WAY * far))
     count, crossings, lasts = listed
+    shallow = max(rule.epsilon, HELD * radius)
     if count >= 0 and lasts > 0.0:
-        listing = Listing(0.0, ahead, ways, samples[:count], places[:count], ridges[:crossings], toward)
+        listing = Listing(0.0, ahead, ways, samples[:count], places[:count], ridges[:crossings], toward, shallow)
         found, _, visits = query_listed(pools, edges, pair, rule, listing, sink, scratch)
     else:
         lasts, visits, found = min(TO_THE_END * far, search.reach), 0, 0
         for _ in range(NARROWINGS):
-            listing = Listing(lasts, min(ahead, lasts), ways, samples, places, ridges, toward)
+            listing = Listing(lasts, min(ahead, lasts), ways, samples, places, ridges, toward, shallow)
             found, _, more, count, crossings, clear = search_samples(pools, edges, pair, rule, listing, sink, scratch)
             visits += more
             if (count <= MOST_AHEAD and crossings <= MOST_AHEAD) or (found != 0 and not touches):

@@ -316,9 +316,7 @@ def query_pairs(
     if lists is NO_LISTS:
         return found, NOTHING_REMEMBERED
     slots[cut] = -1  # their second share may be smaller at the next step
-    # contacts ahead hold for this step only, unless neither of the two moves
-    if scene.motion.time > 0.0:
-        slots[search.out.is_ahead & np.any(is_moving(scene.motion)[step.pairs], axis=1)] = -1
+    slots[search.out.is_ahead] = -1  # their look-ahead contacts hold for this step only
     index_of_row, pair_of_slot = indices_of_kept(step.rows, slots, len(lists.counts), found.exhausted)
     answer = KeptAnswer(
         scene.stamp, index_of_row, poses, pair_of_slot, searched, shares, share, offsets, found

@@ -142,7 +142,7 @@ def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
     ahead = min(reach_of(moves, radius)[1], lists.reach[row] - moved)
     listing = Listing(
         0.0, ahead, scratch.any_way, lists.listed[row, :n], lists.places[row, :n],
-        lists.ridge_pairs[row, : lists.ridges[row]], lists.toward[row],
+        lists.ridge_pairs[row, : lists.ridges[row]], lists.toward[row], rule.epsilon,
     )  # fmt: skip
     count, bound, visits = query_listed(pools, geometry.edges, pair, rule, listing, sink, scratch)
     clear = 0.0
@@ -165,7 +165,7 @@ def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
         reach, ahead = reach_of(moves, radius)
     else:
         toward[0] = toward[1] = toward[2] = 0.0
-    listing = Listing(reach, ahead, scratch.any_way, listed, places, ridges, toward)
+    listing = Listing(reach, ahead, scratch.any_way, listed, places, ridges, toward, rule.epsilon)
     count, bound, visits, samples, crossings, clear = search_samples(
         pools, geometry.edges, pair, rule, listing, sink, scratch
     )
@@ -177,7 +177,9 @@ def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
             lists.reach[row] = max(reach, clear)
             keep_pose(pair.rotation, pair.translation, lists.listed_at[row])
             if slot.for_motion and count == 0:
-                made = Listing(reach, ahead, scratch.any_way, listed, places, ridges[:crossings], toward)
+                made = Listing(
+                    reach, ahead, scratch.any_way, listed, places, ridges[:crossings], toward, rule.epsilon
+                )
                 clear = min(_left_of(geometry, pair, rule, made, samples, scratch), lists.reach[row])
     return Found(count, bound, visits, _ended(count, rule), clear)
 

@@ -53,6 +53,7 @@ from fracture_collision.core.patches.surface import Surface, make_surface
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.neighbour_lists import IN_PLACE, displacement
 from fracture_collision.core.search.scratch import Scratch
+from fracture_collision.core.separation.oriented_boxes import box_clearance
 from fracture_collision.grouping import begins_of
 
 # Deeper than so many detection tolerances, samples may be past the middle of something thin: they are not asked.
@@ -192,6 +193,9 @@ def _candidates(pools, pairs, is_convex, rule, found, scratch, out):
             continue
         out.along[used] = 0.0, 0.0, 1.0
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
+        boxes = pools.fragment.box[a], pools.fragment.box[b]
+        if not is_one and box_clearance(boxes[0], boxes[1], pair.rotation[0], pair.translation[0], 0.0) > 0.0:
+            continue
         if share_a_body(pools, pair.a, pair.b) and MOVED * displacement(pools, pair, IN_PLACE) <= rule.epsilon * radius:
             continue
         if not is_one:
@@ -303,16 +307,19 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     is_asked = is_possible and deepest <= DEEP * tolerance
     parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
     first = found if parted.is_apart else 0
-    if not parted.is_apart and not is_shallow:
+    bound = min(_box_overlap(boxes), wanted.moved)
+    if is_shallow and not parted.is_apart:
+        return _LEAVE, bound
+    if not parted.is_apart:
         parted = _part((a, b), np.zeros(3), (0, 0), deepest > DEEP * tolerance, rules, planes)
-    if not is_shallow and not parted.is_apart and wanted.moved < math.inf:
+    if not parted.is_apart and wanted.moved < math.inf:
         parted = _part_back((a, b), rules, planes)
-    if not is_shallow and wanted.moved > likely and (not parted.is_apart or _along(parted.x, parted.x) > likely * likely):
+    is_long = not parted.is_apart or _along(parted.x, parted.x) > likely * likely
+    if not is_shallow and wanted.moved > likely and is_long:
         whole = _part_whole((a, b), parted, rules, planes)
         if whole.is_apart or not parted.is_apart:
             parted, first = whole, 0
     x = parted.x
-    bound = min(_box_overlap(boxes), wanted.moved)
     if parted.is_apart:
         bound = min(bound, math.sqrt(_along(x, x)))
     count = 0

@@ -85,7 +85,7 @@ def close_pairs(a, b, n, reach):
 
 @inlined_kernel
 def _meeting(own, row, others, first, hits):
-    """Write the rows, counted from `first`, of `others` (k, 6) that meet a row of `own` (n, 6); returns their number."""
+    """Write which of `others` (k, 6), counted from `first`, meet a row of `own` (n, 6); returns their number."""
     x0, y0, z0, x1, y1, z1 = own[row, 0], own[row, 1], own[row, 2], own[row, 3], own[row, 4], own[row, 5]
     count = 0
     for k in range(len(others)):
@@ -296,13 +296,17 @@ def _planes_cut(a, i, b, j, reach, distances):
 
     distances (6,): of a's corners from b's plane [m], then of b's from a's; positive outside.
     """
-    for k in range(3):
-        distances[k] = _above(b, j, a, i, k)
-    if min(distances[0], distances[1], distances[2]) >= reach or max(distances[0], distances[1], distances[2]) <= -reach:
-        return False
-    for k in range(3):
-        distances[3 + k] = _above(a, i, b, j, k)
-    return min(distances[3], distances[4], distances[5]) < reach and -reach < max(distances[3], distances[4], distances[5])
+    near = True
+    for side in range(2):
+        low, high = math.inf, -math.inf
+        for k in range(3):
+            d = _above(b, j, a, i, k) if side == 0 else _above(a, i, b, j, k)
+            distances[3 * side + k] = d
+            low, high = min(low, d), max(high, d)
+        near = near and low < reach and high > -reach
+        if not near:
+            break
+    return near
 
 
 @inlined_kernel

@@ -63,6 +63,7 @@ class Listing(NamedTuple):
     places: np.ndarray  # (n, PLACE) float32 [m]
     ridges: np.ndarray  # (m, 2) int32: pairs of ridges that may cross
     toward: np.ndarray  # (3,) float64: a direction in b's frame that may separate the two, zeros: unknown
+    shallow: float  # [m] crossings of ridges that get no deeper before samples do are left out
 
 
 class NeighbourLists(NamedTuple):
