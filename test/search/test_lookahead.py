@@ -20,6 +20,7 @@ from worlds.thrown_fragments import (
     with_others,
 )
 
+from fracture_collision.core.lookahead.first_touch import HELD
 from fracture_collision.records import BUDGET_EXHAUSTED, ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
 
@@ -45,6 +46,8 @@ def test_listed_pairs_are_those_that_meet_in_small_steps(case: FracturedWorld, s
         first, deep = meeting_in_small_steps(now, states)
         unfollowed += unlisted(listed, deep - touching.keys() - ahead.keys())
         reach = 2.0 * 0.002 + 0.3 * (20.0 + spin) * AHEAD / MOMENTS
+        if surfaces == "edges":
+            reach += HELD  # ridges that cross no deeper before their ends are inside are left to the next query
         for pair, rows in ahead.items():
             assert pair in first or listed.gaps[rows].min() > 0.0
             if pair not in first:
