@@ -279,8 +279,7 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     wanted, most_contacts, is_sampled, hulls = wanted
     tolerance = wanted.near
     normals, gaps, (begin, end) = known
-    rotation = moving.rotations[moving.j]
-    placings = _placings(moving)
+    rotation, placings = moving.rotations[moving.j], _placings(moving)
     a = posed_at(_surface_at(surfaces, pair.a), placings[0], 0.0)
     b = posed_at(_surface_at(surfaces, pair.b), placings[1], 0.0)
     boxes = box_around(a.corners), box_around(b.corners)
@@ -322,13 +321,7 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     x = parted.x
     if parted.is_apart:
         bound = min(bound, math.sqrt(_along(x, x)))
-    count = 0
-    for k in range(first, parted.used):
-        each = min(max(len(sink.contacts) // (parted.used - first), 1), len(sink.contacts) - count)
-        rest = Sink(sink.contacts[count : count + each], sink.ids[count : count + each])
-        plane = planes.normals[k], planes.needs[k], planes.at[k]
-        more = _put_points((a, b), placings, plane, wanted, size, rest)
-        count = _keep_distinct(sink, count, more, planes.normals[k])
+    count = _put_corners((a, b), planes, (first, parted.used), rules, sink)
     if count == 0:
         return _LEAVE, bound
     room = most_contacts - count
@@ -430,6 +423,19 @@ def _part_whole(posed, parted, rules, planes):
     if parted.is_apart:
         return parted
     return _Parted(1, n * overlap, False)
+
+
+@kernel
+def _put_corners(posed, planes, rows, rules, sink):
+    """Write the corners of the half-spaces in rows (first, end) to a Sink, of each as many; returns how many."""
+    count, (first, end) = 0, rows
+    for k in range(first, end):
+        each = min(max(len(sink.contacts) // (end - first), 1), len(sink.contacts) - count)
+        rest = Sink(sink.contacts[count : count + each], sink.ids[count : count + each])
+        plane = planes.normals[k], planes.needs[k], planes.at[k]
+        more = _put_points(posed, rules.placings, plane, rules.wanted, rules.size, rest)
+        count = _keep_distinct(sink, count, more, planes.normals[k])
+    return count
 
 
 @kernel
