@@ -18,7 +18,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks.elementary import Elementary, Setting, Trace, body, flat, ground, run, scene_of
+from benchmarks.elementary.ours import run
+from benchmarks.elementary.scenes import Elementary, Setting, Trace, body, flat, ground, scene_of
 
 KINDS = ("box", "brick1", "brick2")
 STEPS = (0.001, 0.0025, 0.005, 0.01)  # [s]

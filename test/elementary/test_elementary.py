@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.elementary import SCENES, Setting, run, scene_of
+from benchmarks.elementary.ours import run
+from benchmarks.elementary.scenes import SCENES, Setting, scene_of
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -38,6 +38,7 @@ def test_listed_pairs_are_those_that_meet_in_small_steps(case: FracturedWorld, s
     """A separate pair is listed if it will be deeper than epsilon, with points that meet at the time of contact."""
     settings = SETTINGS._replace(surfaces=surfaces)
     world, now = with_others(case, settings), with_others(case, settings._replace(lookahead=0.0))
+    of_samples = with_others(case, settings._replace(lookahead=0.0, surfaces="sampled"))
     met = unmet = unfollowed = 0
     for seed in range(10):
         states = thrown(case, seed, spin)
@@ -46,15 +47,18 @@ def test_listed_pairs_are_those_that_meet_in_small_steps(case: FracturedWorld, s
         first, deep = meeting_in_small_steps(now, states)
         unfollowed += unlisted(listed, deep - touching.keys() - ahead.keys())
         reach = 2.0 * 0.002 + 0.3 * (20.0 + spin) * AHEAD / MOMENTS
-        if surfaces == "edges":
-            reach += HELD  # ridges that cross no deeper before their ends are inside are left to the next query
+        # ridges that cross no deeper than HELD before their ends are inside are left to the next query
+        last = first if surfaces == "sampled" else meeting_in_small_steps(of_samples, states)[0]
         for pair, rows in ahead.items():
             assert pair in first or listed.gaps[rows].min() > 0.0
             if pair not in first:
                 unmet += 1
                 continue
-            there = _moved_points(now, states, listed, pair, rows, first[pair])
-            assert np.linalg.norm(there[0] - there[1], axis=1).min() < reach
+            begin, end = (round(t / AHEAD * MOMENTS) for t in (first[pair], last.get(pair, AHEAD)))
+            steps = AHEAD / MOMENTS * np.arange(begin, max(begin, end) + 1)
+            apart = [_least_distance(now, states, listed, pair, rows, t) for t in steps]
+            assert apart[0] < (reach if surfaces == "sampled" else reach + HELD)
+            assert min(apart) < reach
             assert listed.gaps[rows].max() > 0.0
             met += 1
     # a pair that only grazes the tolerance may touch between two time steps of one method and not of the other
@@ -102,8 +106,8 @@ def bound_of(answer: ContactConstraintArray, pair: tuple[int, int]) -> float:
     return float(answer.missed_depth_bound[at].max(initial=0.0))
 
 
-def _moved_points(world, states, answer, pair, rows, t) -> list[np.ndarray]:
-    """Points of a pair's contacts on a and on b, each moved with its fragment until `t` [s]."""
+def _least_distance(world, states, answer, pair, rows, t) -> float:
+    """Between the points of a pair's contacts on a and on b, each moved with its fragment until `t` [s]."""
     there, found = later(world, states, t), []
     for fragment, points in zip(pair, (answer.points_a, answer.points_b), strict=True):
         p = points.reshape(-1, 3)[rows]
@@ -112,7 +116,7 @@ def _moved_points(world, states, answer, pair, rows, t) -> list[np.ndarray]:
             (turn, place), (later_turn, later_place) = (_pose_of(each, k[0]) for each in (states, there))
             p = later_turn.apply(turn.inv().apply(p - place)) + later_place
         found.append(p)
-    return found
+    return float(np.linalg.norm(found[0] - found[1], axis=1).min())
 
 
 def _pose_of(states: FragmentStates, k: int) -> tuple[Rotation, np.ndarray]:

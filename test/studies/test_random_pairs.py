@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.elementary import Setting, run, scene_of
+from benchmarks.elementary.ours import run
+from benchmarks.elementary.scenes import Setting, scene_of
 from benchmarks.random_drops import drops, elementary
 from benchmarks.random_pairs import EPSILON, Pair, campaign
 
