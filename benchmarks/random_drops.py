@@ -64,7 +64,11 @@ def drops(random: np.random.Generator) -> Iterator[Drop]:
 def elementary(drop: Drop) -> Elementary:
     """The scene, and what is wrong at its end."""
     at = np.append(drop.aside, drop.ground_of_upper + drop.upper[2] / 2.0)
-    radius = 0.5 * min(drop.lower.max(), drop.upper.max())
+    # R of what each rests on: the ground has none
+    radii = 0.5 * np.array([drop.lower.max(), drop.upper.max()])
+    radius = radii.min()
+    if not drop.is_beside:
+        radii[1] = radius
 
     def bodies(setting: Setting) -> list[dict]:
         low, high = (flat(kind, *sides) for kind, sides in zip(drop.kinds, (drop.lower, drop.upper), strict=True))
@@ -73,7 +77,7 @@ def elementary(drop: Drop) -> Elementary:
 
     def faults(trace: Trace) -> Iterator[str]:
         off = np.abs(trace.places[-1] - [[0.0, 0.0, drop.lower[2] / 2.0], at])
-        if not off[:, 2].max() <= TOLERANCE * radius:
+        if not (off[:, 2] <= TOLERANCE * radii).all():
             yield f"{1e3 * off[:, 2].max():.2f} mm too high or low"
         if not off[:, :2].max() <= SLID + TOLERANCE * radius:
             yield f"{1e3 * off[:, :2].max():.2f} mm aside"

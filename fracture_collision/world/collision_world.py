@@ -92,7 +92,8 @@ class CollisionWorld:
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
         self._surfaces: ElementTable | None = None
         self._surfaces_of = self._what_is_remembered_of()
-        self._whole, self._whole_of = SurfaceTable(), (self._registry, self._registry.changes)
+        self._whole, self._whole_of = SurfaceTable(), (self._registry, self._registry.renumbered)
+        self._whole_at = self._registry.changes
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
@@ -311,9 +312,12 @@ class CollisionWorld:
         """Surfaces of concave fragments, likewise built on demand; as they are divided now, whenever that is."""
         if not has_edges(self.settings):
             return None
-        holds_for = self._registry, self._registry.changes
-        if self._whole_of != holds_for:
+        holds_for = self._registry, self._registry.renumbered
+        if self._whole_of != holds_for or self._whole.is_mostly_garbage:
             self._whole, self._whole_of = SurfaceTable(), holds_for
+        elif self._whole_at != self._registry.changes:
+            self._whole.forget(self._registry.rows_broken_since(self._whole_at))
+        self._whole_at = self._registry.changes
         return self._whole
 
     def _surfaces_to_search(self) -> ElementTable | None:

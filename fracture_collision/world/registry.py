@@ -39,6 +39,7 @@ class Registry:
         self._chain = hashlib.sha256().digest()
         self._living = LivingFragments()
         self._fragments_of: dict[int, set[int]] = {}  # body id -> its living fragments
+        self._broke_at: dict[int, int] = {}  # body id -> `changes` when it last broke
 
     def add_body(self, body: CheckedBody) -> None:
         """Add a body with its one fragment before any fracture."""
@@ -63,6 +64,7 @@ class Registry:
         """Replays nothing: other bodies stay as they are. Memory is reclaimed once half of it is garbage."""
         self.changes += 1
         del self._bodies[body_id]
+        self._broke_at.pop(body_id, None)
         rows = [self._living.remove(fragment_id) for fragment_id in self._fragments_of.pop(body_id)]
         self.geometry.retire_body(np.array(sorted(rows)))
         self._reclaim_memory()
@@ -75,6 +77,7 @@ class Registry:
         body = self._bodies.get(event.body_id)
         if body is None:
             return
+        self._broke_at[body.body_id] = self.changes
         self._fragments_of[body.body_id].remove(event.fragment_id)
         first = apply_fracture(self.geometry, self._living.remove(event.fragment_id), event)
         for i, new_id in enumerate(event.new_fragment_ids.tolist()):
@@ -85,6 +88,12 @@ class Registry:
         if self.geometry.is_mostly_garbage():
             self._living.renumber(self.geometry.keep_only(self._living.columns().rows))
             self.renumbered += 1
+
+    def rows_broken_since(self, changes: int) -> np.ndarray:
+        """Rows of the fragments (n,) of bodies that broke since there were so many `changes`."""
+        broken = [body for body, at in self._broke_at.items() if at > changes]
+        rows = [self._living.row_of(f) for body in broken for f in self._fragments_of.get(body, ())]
+        return np.array(sorted(rows), np.int64)
 
     def living(self) -> Columns:
         """Living fragments by ascending id."""

@@ -60,8 +60,11 @@ class _View(NamedTuple):
     """What of both is looked at."""
 
     window: np.ndarray  # (6,) [m] of both: least and most along u, along v; then the lowest of b, the highest of a
-    limit: float  # [m] of gaps
+    limit: np.ndarray  # (1,) [m] of gaps; where only the least is asked for, the least so far
     rim: float  # [m] see ON_RIM
+    is_of_least: bool  # only the least gap is asked for
+    lowest: float  # [m] of those no less than this
+    enough: float  # [m] and the search ends at one that is less than this
 
 
 class _Grid(NamedTuple):
@@ -81,28 +84,42 @@ def facing_points(a, b, n, limit, size):
     size [m]: of the smaller fragment.
     """
     axes = axes_along(n)
-    of_a, of_b = seen_along(a.corners, axes), seen_along(b.corners, axes)
-    view = _View(np.empty(6), limit, ON_RIM * size)
-    window, _, rim = view
-    box_a, box_b = box_around(of_a), box_around(of_b)
-    for d in range(2):
-        window[2 * d], window[2 * d + 1] = max(box_a[d], box_b[d]) - rim, min(box_a[3 + d], box_b[3 + d]) + rim
-    window[4], window[5] = box_b[2], box_a[5]
-    room = 64
-    points, gaps, features, count = np.empty((room, 3)), np.empty(room), np.empty((room, 3), np.int64), 0
-    found = FacingPoints(points, gaps, features)
-    if window[0] > window[1] or window[2] > window[3]:
-        return FacingPoints(points[:0], gaps[:0], features[:0])
-    seen_a, seen_b = _near(a, of_a, n, 1.0, view), _near(b, of_b, n, -1.0, view)
-    found, count = _corners_over(seen_b, seen_a, a.triangles, OF_B, view, found, count)
-    found, count = _corners_over(seen_a, seen_b, b.triangles, OF_A, view, found, count)
-    found, count = _crossings(seen_a, a.edges, seen_b, b.edges, view, found, count)
-    points, gaps, features = found
+    view = _View(np.empty(6), np.array([limit]), ON_RIM * size, False, -math.inf, -math.inf)
+    (points, gaps, features), count = _look(a, b, axes, view)
     for k in range(count):
         u, v, h = points[k, 0], points[k, 1], points[k, 2]
         for d in range(3):
             points[k, d] = u * axes[0, d] + v * axes[1, d] + h * axes[2, d]
     return FacingPoints(points[:count].copy(), gaps[:count].copy(), features[:count].copy())
+
+
+@kernel
+def overlap_along(a, b, n, lowest, most, size):
+    """The largest overlap [m] of two Posed surfaces along a unit vector n, of those whose gap is no less than `lowest`.
+
+    Once one exceeds `most` [m], that one is the answer. size [m]: of the smaller fragment.
+    """
+    view = _View(np.empty(6), np.zeros(1), ON_RIM * size, True, lowest, -most)
+    _look(a, b, axes_along(n), view)
+    return 0.0 - view.limit[0]
+
+
+@kernel
+def _look(a, b, axes, view):
+    """The FacingPoints of two Posed surfaces along the last of the axes, places along these; and their number."""
+    of_a, of_b, window, rim = seen_along(a.corners, axes), seen_along(b.corners, axes), view.window, view.rim
+    box_a, box_b = box_around(of_a), box_around(of_b)
+    for d in range(2):
+        window[2 * d], window[2 * d + 1] = max(box_a[d], box_b[d]) - rim, min(box_a[3 + d], box_b[3 + d]) + rim
+    window[4], window[5] = box_b[2], box_a[5]
+    room = 1 if view.is_of_least else 64
+    found, count = FacingPoints(np.empty((room, 3)), np.empty(room), np.empty((room, 3), np.int64)), 0
+    if window[0] > window[1] or window[2] > window[3]:
+        return found, count
+    seen_a, seen_b = _near(a, of_a, axes[2], 1.0, view), _near(b, of_b, axes[2], -1.0, view)
+    found, count = _corners_over(seen_b, seen_a, a.triangles, OF_B, view, found, count)
+    found, count = _corners_over(seen_a, seen_b, b.triangles, OF_A, view, found, count)
+    return _crossings(seen_a, a.edges, seen_b, b.edges, view, found, count)
 
 
 @kernel
@@ -150,8 +167,8 @@ def _near(posed, places, n, sign, view):
     A feature of a can be within `limit` of b only if it is no more than that below the lowest of b, and conversely.
     """
     triangles, edges = posed.triangles, posed.edges
-    window, limit, _ = view
-    least = sign * window[4 if sign > 0.0 else 5] - limit
+    window = view.window
+    least = sign * window[4 if sign > 0.0 else 5] - view.limit[0]
     beyond = np.empty(len(places), np.uint8)  # a bit for each side of what is looked at
     for k in range(len(places)):
         u, v, h = places[k, 0], places[k, 1], sign * places[k, 2]
@@ -240,23 +257,28 @@ def _cell(grid, d, x):
 @kernel
 def _corners_over(of, over, triangles, kind, view, found, count):
     """Add the corners of one _Seen, of a `kind`, that are over faces of the other; returns as _add."""
-    window, limit, rim = view
+    limit, rim = view.limit, view.rim
     sign = 1.0 if kind == OF_B else -1.0
-    if len(of.corners) == 0 or len(over.faces) == 0:
+    if len(of.corners) == 0 or len(over.faces) == 0 or limit[0] < view.enough:
         return found, count
-    grid = _grid_of(over.places, triangles, over.faces, 3, window, rim)
+    grid = _grid_of(over.places, triangles, over.faces, 3, view.window, rim)
     for k in range(len(of.corners)):
         p = of.places[of.corners[k]]
         c = _cell(grid, 0, p[0]) * grid.cells[1] + _cell(grid, 1, p[1])
         for entry in range(grid.begin[c], grid.begin[c + 1]):
             t = triangles[over.faces[grid.entries[entry]]]
-            is_over, height = _height_at(over.places[t[0]], over.places[t[1]], over.places[t[2]], p, rim)
+            u, v, w = over.places[t[0]], over.places[t[1]], over.places[t[2]]
+            if sign * p[2] - max(sign * u[2], sign * v[2], sign * w[2]) > limit[0]:
+                continue
+            is_over, height = _height_at(u, v, w, p, rim)
             if not is_over:
                 continue
             gap = sign * (p[2] - height)
-            if gap <= limit:
+            if gap <= limit[0]:
                 on_a = height if kind == OF_B else p[2]
-                found, count = _add(found, count, (p[0], p[1], on_a, gap), (kind, of.corners[k], 0))
+                found, count = _add(view, found, count, (p[0], p[1], on_a, gap), (kind, of.corners[k], 0))
+                if limit[0] < view.enough:
+                    return found, count
     return found, count
 
 
@@ -288,10 +310,10 @@ def _height_at(a, b, c, p, rim):
 @kernel
 def _crossings(of_a, edges_a, of_b, edges_b, view, found, count):
     """Add the crossings of edges of both; returns as _add."""
-    window, limit, rim = view
-    if len(of_a.edges) == 0 or len(of_b.edges) == 0:
+    limit, rim = view.limit, view.rim
+    if len(of_a.edges) == 0 or limit[0] < view.enough or len(of_b.edges) == 0:
         return found, count
-    grid = _grid_of(of_b.places, edges_b, of_b.edges, 2, window, rim)
+    grid = _grid_of(of_b.places, edges_b, of_b.edges, 2, view.window, rim)
     box, other = np.empty(4), np.empty(4)
     for k in range(len(of_a.edges)):
         i = of_a.edges[k]
@@ -303,6 +325,9 @@ def _crossings(of_a, edges_a, of_b, edges_b, view, found, count):
                 c = cu * grid.cells[1] + cv
                 for entry in range(grid.begin[c], grid.begin[c + 1]):
                     j = of_b.edges[grid.entries[entry]]
+                    r, s = of_b.places[edges_b[j, 0]], of_b.places[edges_b[j, 1]]
+                    if min(r[2], s[2]) - max(p[2], q[2]) > limit[0]:
+                        continue
                     _box(of_b.places, edges_b, j, 2, rim, other)
                     low_u, low_v = max(box[0], other[0]), max(box[2], other[2])
                     if low_u > min(box[1], other[1]) or low_v > min(box[3], other[3]):
@@ -310,10 +335,11 @@ def _crossings(of_a, edges_a, of_b, edges_b, view, found, count):
                     # two boxes may share several cells: the one at the lower corner of their overlap counts
                     if _cell(grid, 0, low_u) != cu or _cell(grid, 1, low_v) != cv:
                         continue
-                    r, s = of_b.places[edges_b[j, 0]], of_b.places[edges_b[j, 1]]
                     crosses, u, v, height, gap = _crossing(p, q, r, s, rim)
-                    if crosses and gap <= limit:
-                        found, count = _add(found, count, (u, v, height, gap), (CROSSING, i, j))
+                    if crosses and gap <= limit[0]:
+                        found, count = _add(view, found, count, (u, v, height, gap), (CROSSING, i, j))
+                        if limit[0] < view.enough:
+                            return found, count
     return found, count
 
 
@@ -329,14 +355,19 @@ def _crossing(p, q, r, s, rim):
     on_a, on_b = (wu * vb - wv * ub) / area, (wu * va - wv * ua) / area
     if min(on_a, 1.0 - on_a) * length_a < -rim or min(on_b, 1.0 - on_b) * length_b < -rim:
         return False, 0.0, 0.0, 0.0, 0.0
+    on_a, on_b = min(max(on_a, 0.0), 1.0), min(max(on_b, 0.0), 1.0)
     height = p[2] + on_a * (q[2] - p[2])
     return True, p[0] + on_a * ua, p[1] + on_a * va, height, r[2] + on_b * (s[2] - r[2]) - height
 
 
 @kernel
-def _add(found, count, point, feature):
+def _add(view, found, count, point, feature):
     """Write a point; returns (the FacingPoints, which may be larger ones, number of points)."""
     points, gaps, features = found
+    if view.is_of_least:
+        if point[3] >= view.lowest:
+            view.limit[0] = point[3]
+        return found, 0
     if count == len(gaps):
         points = np.vstack((points, np.empty((count, 3))))
         gaps = np.append(gaps, np.empty(count))

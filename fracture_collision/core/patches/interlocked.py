@@ -35,7 +35,7 @@ from fracture_collision.core.memory.kinds import TETRAHEDRA, WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import GrowableArray, Pools
 from fracture_collision.core.memory.rotations import turned_back
-from fracture_collision.core.patches.facing_points import FacingPoints, Posed, box_around, facing_points
+from fracture_collision.core.patches.facing_points import FacingPoints, Posed, box_around, facing_points, overlap_along
 from fracture_collision.core.patches.least_translation import least_translation
 from fracture_collision.core.patches.pair_contacts import (
     MOVED,
@@ -92,7 +92,7 @@ class Surfaces(NamedTuple):
 
 
 class SurfaceTable:
-    """Surfaces of fragments, made when first asked for. Valid until a fragment breaks: others are divided anew."""
+    """Surfaces of fragments, made when first asked for. Valid until their body breaks: others are divided anew then."""
 
     def __init__(self) -> None:
         self._begin, self._end = np.full((0, 3), -1), np.full((0, 3), -1)
@@ -100,6 +100,18 @@ class SurfaceTable:
             GrowableArray(3, np.float64), GrowableArray(3, np.int32), GrowableArray(3, np.float64),
             GrowableArray(2, np.int32), GrowableArray(2, np.int32), GrowableArray(0, np.bool_),
         ]  # fmt: skip
+        self._unused = 0  # triangles of fragments that were forgotten
+
+    @property
+    def is_mostly_garbage(self) -> bool:
+        return 2 * self._unused > self._columns[1].used
+
+    def forget(self, rows: np.ndarray) -> None:
+        """Make those of `rows` (n,) anew when they are asked for."""
+        rows = rows[rows < len(self._begin)]
+        rows = rows[self._begin[rows, 0] >= 0]
+        self._unused += int((self._end - self._begin)[rows, 1].sum())
+        self._begin[rows] = self._end[rows] = -1
 
     def of(self, pools: Pools, rows: np.ndarray) -> Surfaces:
         """Surfaces of at least `rows` (n,) of FragmentPool."""
@@ -188,9 +200,6 @@ def _candidates(pools, pairs, is_convex, rule, found, scratch, out):
         for c in range(offsets[p], offsets[p + 1]):
             least = min(least, gaps[c])
         is_one = least < -LEAST * rule.near * radius
-        # samples of fragments are as close to each other as their faces are large: where they touch, some are near
-        if not is_one and kind_a == TETRAHEDRA and kind_b == TETRAHEDRA and least < math.inf:
-            continue
         out.along[used] = 0.0, 0.0, 1.0
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
         boxes = pools.fragment.box[a], pools.fragment.box[b]
@@ -303,6 +312,10 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     rules = _Rules(given, along, placings, wanted, boxes, size, most)
     # samples that are deep in something thin may be past its middle, and contradict each other
     x, is_possible = least_translation(given, planes.needs[:found])
+    if is_possible and deepest <= LEAST * tolerance:
+        # what only touches is moved a little apart, where that is possible
+        farther, is_apart = least_translation(given, planes.needs[:found] + SLACK * tolerance)
+        x = farther if is_apart else x
     is_asked = is_possible and deepest <= DEEP * tolerance
     parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
     first = found if parted.is_apart else 0
@@ -400,7 +413,7 @@ def _part_back(posed, rules, planes):
     if not 0.0 < length <= rules.most:
         return _NOT_PARTED
     n /= length
-    overlap = _deepest(facing_points(a, b, n, 0.0, rules.size), -(1.0 + ONE_PLACE) * length)
+    overlap = overlap_along(a, b, n, -(1.0 + ONE_PLACE) * length, math.inf, rules.size)
     planes.normals[0], planes.needs[0], planes.at[0] = n, overlap, np.zeros(3)
     return _part(posed, n * overlap, (1, 0), False, rules, planes)
 
@@ -511,16 +524,12 @@ def _way_out(posed, pairs, overlaps, part, x, rules):
         if not is_through:
             toward /= length
     ways, tried = np.empty((2 * MOST_TRIED + 1, 3)), 0
-    of_a, of_b = np.zeros(len(a.triangles)), np.zeros(len(b.triangles))
-    for k in range(len(pairs)):
-        t, s = pairs[k]
-        if part == _ALL or overlaps.of_a[t] == part:
-            of_a[t], of_b[s] = _area(a, t), _area(b, s)
-    areas = np.append(of_a, of_b)
+    areas, at = _pierced_areas(posed, pairs, overlaps.of_a, part)
     for k in np.argsort(-areas, kind="mergesort"):
         if not areas[k] > 0.0 or tried == MOST_TRIED:
             break
-        n = a.normals[k].copy() if k < len(of_a) else -b.normals[k - len(of_a)]
+        side, t = at[k]
+        n = a.normals[t].copy() if side == 0 else -b.normals[t]
         if is_through or n[0] * toward[0] + n[1] * toward[1] + n[2] * toward[2] > SAME:
             tried = _add_new(ways, tried, n[0], n[1], n[2])
     most = tried + MOST_TRIED
@@ -528,26 +537,46 @@ def _way_out(posed, pairs, overlaps, part, x, rules):
         n = given[c]
         if tried < most and (is_through or n[0] * toward[0] + n[1] * toward[1] + n[2] * toward[2] > SAME):
             tried = _add_new(ways, tried, n[0], n[1], n[2])
+    enough = math.inf
     if not is_through:
+        others = tried
         tried = _add_new(ways, tried, toward[0], toward[1], toward[2])
         a, b = _part_of(a, overlaps.of_a, part), _part_of(b, overlaps.of_b, part)
+        if tried > others:
+            # nearly the least, most often: what overlaps more is not looked at closer
+            lowest = _along(x, toward) - MOVED * wanted.moved - ONE_PLACE * size
+            overlap = overlap_along(a, b, toward, lowest, math.inf, size)
+            enough = overlap + ALIKE * wanted.near if overlap > 0.0 else math.inf
     best, least = 0, math.inf
     for k in range(tried):
         lowest = -math.inf if is_through else _along(x, ways[k]) - MOVED * wanted.moved - ONE_PLACE * size
-        overlap = _deepest(facing_points(a, b, ways[k], 0.0, size), lowest)
-        if 0.0 < overlap < least - ALIKE * wanted.near:
+        less = min(least - ALIKE * wanted.near, enough, rules.most - _along(x, ways[k]))
+        overlap = overlap_along(a, b, ways[k], lowest, less, size)
+        if 0.0 < overlap < less:
             best, least = k, overlap
     return ways[best].copy(), least
 
 
 @kernel
-def _deepest(found, lowest):
-    """The largest overlap [m] of FacingPoints, of those whose gap is no less than `lowest` [m]."""
-    overlap = 0.0
-    for gap in found.gaps:
-        if gap >= lowest:
-            overlap = max(overlap, -gap)
-    return overlap
+def _pierced_areas(posed, pairs, of_a, part):
+    """Twice the areas (k,) [m2] of the triangles of one overlap that are pierced, and their sides and rows (k, 2).
+
+    a's before b's, each once and ascending; part: the number of the overlap, or _ALL.
+    """
+    a, b = posed
+    in_a, in_b = np.zeros(len(a.triangles), np.bool_), np.zeros(len(b.triangles), np.bool_)
+    for k in range(len(pairs)):
+        t, s = pairs[k]
+        if part == _ALL or of_a[t] == part:
+            in_a[t] = in_b[s] = True
+    areas, at, used = np.empty(2 * len(pairs)), np.empty((2 * len(pairs), 2), np.int64), 0
+    for t in np.flatnonzero(in_a):
+        areas[used], at[used, 0], at[used, 1] = _area(a.corners, a.triangles, t), 0, t
+        used += 1
+    for t in np.flatnonzero(in_b):
+        areas[used], at[used, 0], at[used, 1] = _area(b.corners, b.triangles, t), 1, t
+        used += 1
+    return areas[:used], at[:used]
 
 
 @kernel
@@ -633,11 +662,10 @@ def _add_new(ways, tried, x, y, z):
     return tried + 1
 
 
-@kernel
-def _area(posed, t):
-    """Twice the area [m2] of a triangle."""
-    p, q, r = posed.triangles[t]
-    c = posed.corners
+@inlined_kernel
+def _area(c, triangles, t):
+    """Twice the area [m2] of a triangle with corners `c`."""
+    p, q, r = triangles[t]
     ux, uy, uz = c[q, 0] - c[p, 0], c[q, 1] - c[p, 1], c[q, 2] - c[p, 2]
     vx, vy, vz = c[r, 0] - c[p, 0], c[r, 1] - c[p, 1], c[r, 2] - c[p, 2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

@@ -46,6 +46,11 @@ def find_velocities(rows, surfaces, gaps, before, iterate, settings, time_step):
     u += begin.u - before
     free, targets = u.copy(), -open_by
     apply_warm_start(rows, targets, iterate)
+    if _are_struck(rows, targets, gaps, u):
+        # While the impulses are far too small, everything slides, and friction moves light bodies under heavy ones.
+        still = np.zeros_like(surfaces.friction)
+        smooth = Surfaces(still, still, surfaces.impulse_limits)
+        sweep(rows, smooth, targets, free, iterate, settings.rounds * settings.iterations, settings.accuracy)
     enough, accuracy = ROUNDING * _inner(rows, gravity, gravity), settings.accuracy
     for _ in range(settings.rounds):
         sweep(rows, surfaces, targets, free, iterate, settings.iterations, accuracy)
@@ -54,6 +59,14 @@ def find_velocities(rows, surfaces, gaps, before, iterate, settings, time_step):
         accuracy *= SHARPER
     impulses += begin.impulses
     rolling += begin.rolling
+
+
+@cached_njit
+def _are_struck(rows, targets, gaps, u):
+    """Whether the velocities u violate (2) at a contact by more than its v_e."""
+    approach = np.empty(len(targets))
+    normal_velocities(rows, u, approach)
+    return (approach < targets - gaps.bounce_speeds).any()
 
 
 @cached_njit
