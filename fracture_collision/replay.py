@@ -81,7 +81,7 @@ class Difference(NamedTuple):
 class Report(NamedTuple):
     """Result of a replay, or of its part so far."""
 
-    digest: str  # SHA-256 of all answers
+    digest: str  # SHA-256 of all answers, as_recorded
     recorded_digest: str  # of those recorded for the same questions; "" if one of them has none
     steps: int  # questions asked, each counted once
     answers: int  # all, including those to repeated questions
@@ -127,7 +127,7 @@ class Replay:
             raise BagError(f"no step from {order.first} to {order.end}: {_range_words(runs)}")
         self._order = order
         self._runs = runs
-        self._answers: dict[tuple[int, int], bytes] = {}  # by place of the run and of the question in it
+        self._answers: dict[tuple[int, int], bytes] = {}  # as_recorded, by place of the run and of the question in it
         self._contradicted: set[tuple[int, int]] = set()
         self._seconds: list[float] = []
 
@@ -146,6 +146,7 @@ class Replay:
                     started, begin, last_run = time.monotonic(), question.time, place
                 self._await(started, abs(question.time - begin))
                 answer, seconds = self._service.ask(run, question)
+                answer = run.as_recorded(answer)
                 if self._answers.setdefault((place, at), answer) != answer:
                     self._contradicted.add((place, at))
                 self._seconds.append(seconds)
@@ -170,10 +171,10 @@ class Replay:
             if not question.answers:
                 unrecorded += 1
                 continue
-            recorded[place, at] = question.answers[0]
+            recorded[place, at] = run.as_recorded(question.answers[0])
             if len(question.answers) > 1:
                 recorded_twice.append(question.step)
-            if answer != question.answers[0]:
+            if answer != recorded[place, at]:
                 differing.append((run, question, answer))
         return Report(
             digest=self._digest(self._answers),
@@ -239,7 +240,7 @@ class InProcess:
                     missing = "the bag lacks bodies or fracture events of its run; record it from its first step"
                     raise Unanswered(f"step {states.step}: {error}; {missing}") from error
             except InvalidMessage:
-                return refusal_of(states)
+                return refusal_of(states, self._settings.lookahead)
 
     def _add_body(self, run: Run) -> None:
         self._bodies += 1
@@ -305,9 +306,9 @@ def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) ->
 
 
 def first_difference(run: Run, question: Question, answer: bytes) -> Difference:
-    """The first difference between `answer` and the first recorded one; they must not be equal."""
+    """The first difference between `answer`, `as_recorded`, and the first recorded one; they must not be equal."""
     recorded = deserialize_record(question.answers[0], ContactConstraintArray)
-    answered = deserialize_record(answer, ContactConstraintArray)
+    answered = run.answers_as.read(answer)
     at = (run.run_id, question.step)
     for name in ("heading", "run_id"):
         one, other = getattr(recorded, name), getattr(answered, name)

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fracture_collision.bag.cdr import LAYOUTS, codec_of, deserialize_record, serialize_record
+from fracture_collision.bag.cdr import LAYOUTS, codec_of, deserialize_record, present_codec, serialize_record
 from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.reader import read_messages, topic_types
 from fracture_collision.cdr import Codec, Received
@@ -36,7 +36,8 @@ class Question(NamedTuple):
     time: int  # [ns] of its heading
     bodies_before: int  # number of the run's messages on `bodies` that were recorded before it
     states: bytes  # as recorded
-    answers: tuple[bytes, ...]  # the recorded ones, each once: none, one, or several that contradict each other
+    answers: tuple[bytes, ...]  # the recorded ones, each once: none, one, or several that contradict each other; in the
+    # present definition, with zeroed padding
 
 
 class Run(NamedTuple):
@@ -47,6 +48,14 @@ class Run(NamedTuple):
     events: list[Message]  # ascending in sequence
     questions: list[Question]  # ascending in step
     unasked: list[int]  # steps with an answer, but without the states that it answers; ascending
+    answers_as: Codec  # the definition of the answers when they were recorded
+
+    def as_recorded(self, answer: bytes) -> bytes:
+        """An answer without the fields that answers did not have yet when the run was recorded."""
+        if self.answers_as.is_complete:
+            return answer
+        heading, run_id, record = deserialize_record(answer, ContactConstraintArray)
+        return self.answers_as.write(record, heading, run_id)
 
 
 class _Gathered:
@@ -57,6 +66,7 @@ class _Gathered:
         self.events: dict[bytes, Message] = {}
         self.states: dict[tuple[int, int], tuple[bytes, int, int]] = {}  # by step and sequence: data, time, bodies
         self.answers: dict[tuple[int, int], dict[bytes, None]] = {}
+        self.answers_as = present_codec(ContactConstraintArray)
 
 
 def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
@@ -76,6 +86,8 @@ def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
         run = runs.setdefault(received.run_id, _Gathered())
         try:
             _gather(run, Message(message.data if codec.is_complete else canonical(received), received))
+            if isinstance(received.record, ContactConstraintArray):
+                run.answers_as = codec
         except BagError as error:
             raise BagError(f"{bag}: {message.topic}: {error}") from error
     found = [_run(run_id, run) for run_id, run in runs.items()]
@@ -167,4 +179,5 @@ def _run(run_id: int, run: _Gathered) -> Run:
         sorted(run.events.values(), key=lambda message: message.received.record.sequence),
         sorted(questions, key=lambda question: (question.step, question.fracture_sequence)),
         sorted(step for step, sequence in run.answers if (step, sequence) not in run.states),
+        run.answers_as,
     )
