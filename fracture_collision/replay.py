@@ -18,11 +18,11 @@ import numpy as np
 
 from fracture_collision.bag.cdr import deserialize_record, serialize_record
 from fracture_collision.bag.errors import BagError
-from fracture_collision.bag.exchanges import Question, Run
+from fracture_collision.bag.exchanges import Question, Run, registry_settings
 from fracture_collision.bag.reader import recorded_settings
 from fracture_collision.records import ContactConstraintArray, FragmentStates, refusal_of
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
-from fracture_collision.world.settings import check_settings
+from fracture_collision.world.settings import OF_CONTACTS, check_settings
 
 # [s] While it waits for the recorded time, a replay checks this often whether to end.
 WAITING_INTERVAL = 0.05
@@ -264,23 +264,40 @@ class SettingsFound(NamedTuple):
     words: list[str]  # notes on their origin
 
 
-def settings_of(bag: Path, given: Mapping[str, Any]) -> SettingsFound:
+def settings_of(bag: Path, given: Mapping[str, Any], namespace: str | None = None) -> SettingsFound:
     """Settings of the recorded service, replaced by those `given`; defaults if the bag has none.
 
-    Recorded limits apply too: what was rejected is rejected again. Raises BagError, ValueError.
+    The bag's custom data has all of them, its registries those that contacts depend on. Recorded limits apply too: what
+    was rejected is rejected again. Raises BagError, ValueError.
     """
-    recorded = recorded_settings(bag)
-    words = []
+    noted, told = recorded_settings(bag), registry_settings(bag, namespace)
+    words: list[str] = []
     settings = Settings()
-    if recorded is None:
-        words.append("the bag lacks the settings of the service; the replay uses the defaults")
+    if noted is not None:
+        settings = _checked_settings(bag, noted.values, words)
+    elif told:
+        settings = _checked_settings(bag, told[-1], words)
+        words.append("the bag has the settings that contacts depend on; the replay uses the defaults of all others")
     else:
-        settings = _checked_settings(bag, recorded.values, words)
-        if recorded.changed:
-            words.append("the settings changed during the recording; the replay uses the last ones")
+        words.append("the bag lacks the settings of the service; the replay uses the defaults")
+    if len(told) > 1 or (noted is not None and noted.changed):
+        words.append("the settings changed during the recording; the replay uses the last ones")
+    recorded = _checked_settings(bag, told[-1], []) if told else settings
     settings = settings._replace(**{"threads": 0, **given})
     check_settings(settings)
+    if noted is not None or told:
+        words += _other_settings(recorded, settings)
     return SettingsFound(settings, words)
+
+
+def _other_settings(recorded: Settings, used: Settings) -> list[str]:
+    """A note, if contacts may differ because of the settings."""
+    others = [
+        f"{name}: {getattr(used, name)}, recorded {getattr(recorded, name)}"
+        for name in OF_CONTACTS
+        if getattr(used, name) != getattr(recorded, name)
+    ]
+    return [f"the replay uses other settings than the recorded answers: {'; '.join(others)}"] if others else []
 
 
 # What a service did before it had the setting, where that is not today's default.

@@ -11,9 +11,15 @@ from typing import Any, NamedTuple
 
 from fracture_collision.bag.cdr import LAYOUTS, codec_of, deserialize_record, present_codec, serialize_record
 from fracture_collision.bag.errors import BagError
-from fracture_collision.bag.reader import read_messages, topic_types
+from fracture_collision.bag.reader import read_messages, settings_values, topic_types
 from fracture_collision.cdr import Codec, Received
-from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+from fracture_collision.records import (
+    CollisionBody,
+    ContactConstraintArray,
+    FractureEvent,
+    FragmentRegistry,
+    FragmentStates,
+)
 
 PACKAGE = "fracture_collision/msg/"
 _CLASSES = (CollisionBody, FractureEvent, FragmentStates, ContactConstraintArray)
@@ -104,6 +110,23 @@ def answers_missing(bag: Path, namespace: str | None = None) -> str:
         return f"{bag} has no answer to any of these steps"
     others = ", ".join(f"{topic} ({kind})" for topic, (kind, _) in topic_types(bag).items() if PACKAGE not in kind)
     return f"{bag} has no topic of type {name}" + (f"; its other topics are {others[:300]}" if others else "")
+
+
+def registry_settings(bag: Path, namespace: str | None = None) -> list[dict[str, Any]]:
+    """The settings in the recorded registries, by name and not validated, in the order of recording.
+
+    Several if they changed; none if the bag has no registries, or only such as lack the field. Raises BagError.
+    """
+    codecs = topics_of(bag, [FragmentRegistry], namespace)
+    texts: list[str] = []
+    for message in read_messages(bag, list(codecs)) if codecs else ():
+        try:
+            text = codecs[message.topic].read(message.data).record.settings
+        except ValueError as error:
+            raise BagError(f"{bag}: {message.topic}: {error}") from error
+        if text and texts[-1:] != [text]:
+            texts.append(text)
+    return [settings_values(text, f"{bag}: settings of {FragmentRegistry.__name__}") for text in texts]
 
 
 def canonical(received: Received) -> bytes:

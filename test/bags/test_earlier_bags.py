@@ -11,12 +11,13 @@ from stages.bag_of_records import write_bag
 
 from fracture_collision.bag.cdr import deserialize_record
 from fracture_collision.bag.errors import BagError
-from fracture_collision.bag.exchanges import read_runs
+from fracture_collision.bag.exchanges import read_runs, registry_settings
 from fracture_collision.bag.reader import SETTINGS, read_messages
 from fracture_collision.bag.writer import BagWriter
 from fracture_collision.records import SPHERE, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
 from fracture_collision.replay import InProcess, Replay, Report, settings_of
 from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world.settings import settings_text
 
 
 def test_bags_recorded_before_a_field_existed_are_read_with_its_default(tmp_path: Path) -> None:
@@ -84,3 +85,12 @@ def test_answers_recorded_before_they_had_a_lookahead_are_compared_without_it(tm
     write_answered(tmp_path / "changed", frozenset({"lookahead"}), changed=True)
     found = replayed(tmp_path / "changed")
     assert found.differing == 1 and found.difference.field == "gaps"
+
+
+def test_registries_recorded_before_they_had_settings_name_none(tmp_path: Path) -> None:
+    write_answered(tmp_path / "new", frozenset())
+    write_answered(tmp_path / "old", frozenset({"settings"}))
+    assert registry_settings(tmp_path / "old") == []
+    assert registry_settings(tmp_path / "new") == [json.loads(settings_text(AHEAD))]
+    lacking = "the bag lacks the settings of the service; the replay uses the defaults"
+    assert settings_of(tmp_path / "old", {"contacts_per_pair": 5}).words == [lacking]
