@@ -204,6 +204,8 @@ class ContactConstraintArray(NamedTuple):
         touches to come
       contact_ids: (N,) uint64, the same number in every step for the same sample of the same fragment against the same
         other; with it impulses are carried over (warm starting)
+      lookahead: float64 [s], the service's setting: contacts that will come about within this time are listed too; 0:
+        only those that are near now, or an answer recorded before there was this field
     """
 
     step: int
@@ -220,6 +222,7 @@ class ContactConstraintArray(NamedTuple):
     normals: np.ndarray
     gaps: np.ndarray
     contact_ids: np.ndarray
+    lookahead: float = 0.0
 
     def __len__(self) -> int:
         """The number of contacts: a record without any is false."""
@@ -234,14 +237,14 @@ def _made_of_fields(fields: Iterable[Any]) -> ContactConstraintArray:
 ContactConstraintArray._make = staticmethod(_made_of_fields)  # type: ignore[method-assign, assignment]
 
 
-def refusal_of(states: FragmentStates) -> ContactConstraintArray:
-    """The answer to invalid states: no contacts, and the status INVALID_STATES."""
+def refusal_of(states: FragmentStates, lookahead: float) -> ContactConstraintArray:
+    """The answer to invalid states: no contacts, and the status INVALID_STATES. `lookahead` [s]: the service's."""
     floats, ids = np.zeros(0), np.zeros(0, np.uint32)
     return ContactConstraintArray(
         step=states.step, fracture_sequence=states.fracture_sequence, status=INVALID_STATES,
         fragment_a=ids, fragment_b=ids, pair_begin=np.zeros(1, np.uint32), missed_depth_bound=floats,
         friction=floats, restitution=floats, points_a=floats, points_b=floats, normals=floats, gaps=floats,
-        contact_ids=np.zeros(0, dtype=np.uint64),
+        contact_ids=np.zeros(0, dtype=np.uint64), lookahead=lookahead,
     )  # fmt: skip
 
 
@@ -259,6 +262,8 @@ class FragmentRegistry(NamedTuple):
       inertias: (6n,) float64 [kg m2], about the centre of mass, body axes: xx xy xz yy yz zz
       sampling_gaps: (n,) float64 [m], no point of the fragment's surface is farther than this from a sample
       digest: SHA-256, hex, chained over the bodies and events the registry was built from
+      settings: the service's settings that contacts depend on, one line of JSON, an object with the fields of Settings
+        that are not limits of messages, threads or caches; "": recorded before there was this field
     """
 
     fracture_sequence: int
@@ -270,6 +275,7 @@ class FragmentRegistry(NamedTuple):
     inertias: np.ndarray
     sampling_gaps: np.ndarray
     digest: str
+    settings: str = ""
 
 
 @documented

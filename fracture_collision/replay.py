@@ -18,11 +18,11 @@ import numpy as np
 
 from fracture_collision.bag.cdr import deserialize_record, serialize_record
 from fracture_collision.bag.errors import BagError
-from fracture_collision.bag.exchanges import Question, Run
+from fracture_collision.bag.exchanges import Question, Run, registry_settings
 from fracture_collision.bag.reader import recorded_settings
 from fracture_collision.records import ContactConstraintArray, FragmentStates, refusal_of
 from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
-from fracture_collision.world.settings import check_settings
+from fracture_collision.world.settings import OF_CONTACTS, check_settings
 
 # [s] While it waits for the recorded time, a replay checks this often whether to end.
 WAITING_INTERVAL = 0.05
@@ -81,7 +81,7 @@ class Difference(NamedTuple):
 class Report(NamedTuple):
     """Result of a replay, or of its part so far."""
 
-    digest: str  # SHA-256 of all answers
+    digest: str  # SHA-256 of all answers, as_recorded
     recorded_digest: str  # of those recorded for the same questions; "" if one of them has none
     steps: int  # questions asked, each counted once
     answers: int  # all, including those to repeated questions
@@ -127,7 +127,7 @@ class Replay:
             raise BagError(f"no step from {order.first} to {order.end}: {_range_words(runs)}")
         self._order = order
         self._runs = runs
-        self._answers: dict[tuple[int, int], bytes] = {}  # by place of the run and of the question in it
+        self._answers: dict[tuple[int, int], bytes] = {}  # as_recorded, by place of the run and of the question in it
         self._contradicted: set[tuple[int, int]] = set()
         self._seconds: list[float] = []
 
@@ -146,6 +146,7 @@ class Replay:
                     started, begin, last_run = time.monotonic(), question.time, place
                 self._await(started, abs(question.time - begin))
                 answer, seconds = self._service.ask(run, question)
+                answer = run.as_recorded(answer)
                 if self._answers.setdefault((place, at), answer) != answer:
                     self._contradicted.add((place, at))
                 self._seconds.append(seconds)
@@ -170,10 +171,10 @@ class Replay:
             if not question.answers:
                 unrecorded += 1
                 continue
-            recorded[place, at] = question.answers[0]
+            recorded[place, at] = run.as_recorded(question.answers[0])
             if len(question.answers) > 1:
                 recorded_twice.append(question.step)
-            if answer != question.answers[0]:
+            if answer != recorded[place, at]:
                 differing.append((run, question, answer))
         return Report(
             digest=self._digest(self._answers),
@@ -239,7 +240,7 @@ class InProcess:
                     missing = "the bag lacks bodies or fracture events of its run; record it from its first step"
                     raise Unanswered(f"step {states.step}: {error}; {missing}") from error
             except InvalidMessage:
-                return refusal_of(states)
+                return refusal_of(states, self._settings.lookahead)
 
     def _add_body(self, run: Run) -> None:
         self._bodies += 1
@@ -263,23 +264,40 @@ class SettingsFound(NamedTuple):
     words: list[str]  # notes on their origin
 
 
-def settings_of(bag: Path, given: Mapping[str, Any]) -> SettingsFound:
+def settings_of(bag: Path, given: Mapping[str, Any], namespace: str | None = None) -> SettingsFound:
     """Settings of the recorded service, replaced by those `given`; defaults if the bag has none.
 
-    Recorded limits apply too: what was rejected is rejected again. Raises BagError, ValueError.
+    The bag's custom data has all of them, its registries those that contacts depend on. Recorded limits apply too: what
+    was rejected is rejected again. Raises BagError, ValueError.
     """
-    recorded = recorded_settings(bag)
-    words = []
+    noted, told = recorded_settings(bag), registry_settings(bag, namespace)
+    words: list[str] = []
     settings = Settings()
-    if recorded is None:
-        words.append("the bag lacks the settings of the service; the replay uses the defaults")
+    if noted is not None:
+        settings = _checked_settings(bag, noted.values, words)
+    elif told:
+        settings = _checked_settings(bag, told[-1], words)
+        words.append("the bag has the settings that contacts depend on; the replay uses the defaults of all others")
     else:
-        settings = _checked_settings(bag, recorded.values, words)
-        if recorded.changed:
-            words.append("the settings changed during the recording; the replay uses the last ones")
+        words.append("the bag lacks the settings of the service; the replay uses the defaults")
+    if len(told) > 1 or (noted is not None and noted.changed):
+        words.append("the settings changed during the recording; the replay uses the last ones")
+    recorded = _checked_settings(bag, told[-1], []) if told else settings
     settings = settings._replace(**{"threads": 0, **given})
     check_settings(settings)
+    if noted is not None or told:
+        words += _other_settings(recorded, settings)
     return SettingsFound(settings, words)
+
+
+def _other_settings(recorded: Settings, used: Settings) -> list[str]:
+    """A note, if contacts may differ because of the settings."""
+    others = [
+        f"{name}: {getattr(used, name)}, recorded {getattr(recorded, name)}"
+        for name in OF_CONTACTS
+        if getattr(used, name) != getattr(recorded, name)
+    ]
+    return [f"the replay uses other settings than the recorded answers: {'; '.join(others)}"] if others else []
 
 
 # What a service did before it had the setting, where that is not today's default.
@@ -305,9 +323,9 @@ def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) ->
 
 
 def first_difference(run: Run, question: Question, answer: bytes) -> Difference:
-    """The first difference between `answer` and the first recorded one; they must not be equal."""
+    """The first difference between `answer`, `as_recorded`, and the first recorded one; they must not be equal."""
     recorded = deserialize_record(question.answers[0], ContactConstraintArray)
-    answered = deserialize_record(answer, ContactConstraintArray)
+    answered = run.answers_as.read(answer)
     at = (run.run_id, question.step)
     for name in ("heading", "run_id"):
         one, other = getattr(recorded, name), getattr(answered, name)

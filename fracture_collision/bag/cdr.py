@@ -10,6 +10,7 @@ from fracture_collision.records import (
     ContactConstraintArray,
     FractureEvent,
     FragmentMesh,
+    FragmentRegistry,
     FragmentStates,
 )
 
@@ -38,6 +39,13 @@ LAYOUTS: dict[type, Layout] = {
         ("missed_depth_bound", "sequence<double>"), ("friction", "sequence<double>"),
         ("restitution", "sequence<double>"), ("points_a", "sequence<double>"), ("points_b", "sequence<double>"),
         ("normals", "sequence<double>"), ("gaps", "sequence<double>"), ("contact_ids", "sequence<uint64>"),
+        ("lookahead", "double"),
+    ),
+    FragmentRegistry: (
+        *_FIRST, ("fracture_sequence", "uint64"), ("fragment_ids", "sequence<uint32>"),
+        ("body_ids", "sequence<uint32>"), ("parent_ids", "sequence<uint32>"), ("masses", "sequence<double>"),
+        ("centers_of_mass", "sequence<double>"), ("inertias", "sequence<double>"),
+        ("sampling_gaps", "sequence<double>"), ("digest", "string"), ("settings", "string"),
     ),
     FragmentMesh: (
         *_FIRST, ("fragment_id", "uint32"), ("vertices", "sequence<float>"), ("triangles", "sequence<uint32>"),
@@ -59,6 +67,11 @@ NESTED_LAYOUTS: dict[str, Layout] = {
 _CODECS = {
     record_class: Codec(record_class, layout, NESTED_LAYOUTS.__getitem__) for record_class, layout in LAYOUTS.items()
 }
+
+
+def present_codec(record_class: Any) -> Codec:
+    """Reads and writes messages of the present definition."""
+    return _CODECS[record_class]
 
 
 def codec_of(record_class: Any, layout: Layout) -> Codec | None:

@@ -9,11 +9,17 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fracture_collision.bag.cdr import LAYOUTS, codec_of, deserialize_record, serialize_record
+from fracture_collision.bag.cdr import LAYOUTS, codec_of, deserialize_record, present_codec, serialize_record
 from fracture_collision.bag.errors import BagError
-from fracture_collision.bag.reader import read_messages, topic_types
+from fracture_collision.bag.reader import read_messages, settings_values, topic_types
 from fracture_collision.cdr import Codec, Received
-from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+from fracture_collision.records import (
+    CollisionBody,
+    ContactConstraintArray,
+    FractureEvent,
+    FragmentRegistry,
+    FragmentStates,
+)
 
 PACKAGE = "fracture_collision/msg/"
 _CLASSES = (CollisionBody, FractureEvent, FragmentStates, ContactConstraintArray)
@@ -36,7 +42,8 @@ class Question(NamedTuple):
     time: int  # [ns] of its heading
     bodies_before: int  # number of the run's messages on `bodies` that were recorded before it
     states: bytes  # as recorded
-    answers: tuple[bytes, ...]  # the recorded ones, each once: none, one, or several that contradict each other
+    answers: tuple[bytes, ...]  # the recorded ones, each once: none, one, or several that contradict each other; in the
+    # present definition, with zeroed padding
 
 
 class Run(NamedTuple):
@@ -47,6 +54,14 @@ class Run(NamedTuple):
     events: list[Message]  # ascending in sequence
     questions: list[Question]  # ascending in step
     unasked: list[int]  # steps with an answer, but without the states that it answers; ascending
+    answers_as: Codec  # the definition of the answers when they were recorded
+
+    def as_recorded(self, answer: bytes) -> bytes:
+        """An answer without the fields that answers did not have yet when the run was recorded."""
+        if self.answers_as.is_complete:
+            return answer
+        heading, run_id, record = deserialize_record(answer, ContactConstraintArray)
+        return self.answers_as.write(record, heading, run_id)
 
 
 class _Gathered:
@@ -57,6 +72,7 @@ class _Gathered:
         self.events: dict[bytes, Message] = {}
         self.states: dict[tuple[int, int], tuple[bytes, int, int]] = {}  # by step and sequence: data, time, bodies
         self.answers: dict[tuple[int, int], dict[bytes, None]] = {}
+        self.answers_as = present_codec(ContactConstraintArray)
 
 
 def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
@@ -76,6 +92,8 @@ def read_runs(bag: Path, namespace: str | None = None) -> list[Run]:
         run = runs.setdefault(received.run_id, _Gathered())
         try:
             _gather(run, Message(message.data if codec.is_complete else canonical(received), received))
+            if isinstance(received.record, ContactConstraintArray):
+                run.answers_as = codec
         except BagError as error:
             raise BagError(f"{bag}: {message.topic}: {error}") from error
     found = [_run(run_id, run) for run_id, run in runs.items()]
@@ -92,6 +110,23 @@ def answers_missing(bag: Path, namespace: str | None = None) -> str:
         return f"{bag} has no answer to any of these steps"
     others = ", ".join(f"{topic} ({kind})" for topic, (kind, _) in topic_types(bag).items() if PACKAGE not in kind)
     return f"{bag} has no topic of type {name}" + (f"; its other topics are {others[:300]}" if others else "")
+
+
+def registry_settings(bag: Path, namespace: str | None = None) -> list[dict[str, Any]]:
+    """The settings in the recorded registries, by name and not validated, in the order of recording.
+
+    Several if they changed; none if the bag has no registries, or only such as lack the field. Raises BagError.
+    """
+    codecs = topics_of(bag, [FragmentRegistry], namespace)
+    texts: list[str] = []
+    for message in read_messages(bag, list(codecs)) if codecs else ():
+        try:
+            text = codecs[message.topic].read(message.data).record.settings
+        except ValueError as error:
+            raise BagError(f"{bag}: {message.topic}: {error}") from error
+        if text and texts[-1:] != [text]:
+            texts.append(text)
+    return [settings_values(text, f"{bag}: settings of {FragmentRegistry.__name__}") for text in texts]
 
 
 def canonical(received: Received) -> bytes:
@@ -167,4 +202,5 @@ def _run(run_id: int, run: _Gathered) -> Run:
         sorted(run.events.values(), key=lambda message: message.received.record.sequence),
         sorted(questions, key=lambda question: (question.step, question.fracture_sequence)),
         sorted(step for step, sequence in run.answers if (step, sequence) not in run.states),
+        run.answers_as,
     )

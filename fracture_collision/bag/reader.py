@@ -15,7 +15,8 @@ from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.mcap_file import McapFile
 
 __all__ = ["BagError", "BagMessage", "RecordedSettings", "mcap_files", "mcap_files_without_metadata", "message_counts", 
-           "missing_words", "read_messages", "recorded_settings", "topic_digest", "topic_types"]  # fmt: skip
+           "missing_words", "read_messages", "recorded_settings", "settings_values", "topic_digest",
+           "topic_types"]  # fmt: skip
 
 # Names in a bag's custom data: the settings of the service that answered, as JSON; and its earlier settings, if they
 # changed while the recorder ran.
@@ -120,14 +121,18 @@ def recorded_settings(bag: Path | str) -> RecordedSettings | None:
                 noted |= _noted(record, path)
     if SETTINGS not in noted:
         return None
-    text = noted[SETTINGS]
+    return RecordedSettings(settings_values(noted[SETTINGS], f"{bag}: {SETTINGS}"), EARLIER_SETTINGS in noted)
+
+
+def settings_values(text: str, where: str) -> dict[str, Any]:
+    """Recorded settings by name, not validated yet. Raises BagError, which begins with `where`."""
     try:
         values = json.loads(text) if len(text) <= LARGEST_SETTINGS else None
     except (ValueError, RecursionError) as error:
-        raise BagError(f"{bag}: {SETTINGS}: not JSON: {error}") from error
+        raise BagError(f"{where}: not JSON: {error}") from error
     if not isinstance(values, dict):
-        raise BagError(f"{bag}: {SETTINGS}: not a JSON object")
-    return RecordedSettings(values, EARLIER_SETTINGS in noted)
+        raise BagError(f"{where}: not a JSON object")
+    return values
 
 
 def _noted(record: Metadata, path: Path) -> dict[str, str]:

@@ -122,7 +122,7 @@ def replay(
         words = missing_words(bag)
         runs = read_runs(bag, namespace)
         try:
-            found = settings_of(bag, {**parse_settings(settings), "threads": threads})
+            found = settings_of(bag, {**parse_settings(settings), "threads": threads}, namespace)
         except BagError:
             raise
         except ValueError as error:

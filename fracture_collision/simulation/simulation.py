@@ -12,6 +12,7 @@ One step, from t_n to t_n+1:
 from __future__ import annotations
 
 import time
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ from fracture_collision.simulation.engine.engine import BodyStates, Engine, Fram
 from fracture_collision.simulation.engine.free_motion import free_velocities, mean_spins
 from fracture_collision.simulation.engine.pushes import NO_CHANGES, Changes, Planned, Pusher, Pushes, planned, pushes_of
 from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.lookahead_check import LookaheadCheck
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene.scene import Fracture, Scene, SceneBody
 from fracture_collision.simulation.shared_traits import SharedTraits, shared_traits
@@ -78,6 +80,7 @@ class Simulation:
         self._scene = scene
         self._seed = scene.seed if seed is None else seed
         self._looks_ahead = looks_ahead
+        self._lookahead_check = LookaheadCheck(scene.time_step if looks_ahead else None)
         self._engine = RigidBodyWorld(scene.time_step) if engine is None else engine
         self._step = 0
         self._sequence = 0
@@ -161,8 +164,13 @@ class Simulation:
         return StepRequest(self._requested, self._cast.take_news(), list(self._events))
 
     def finish_step(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> StepReport:
-        """Advance one time step with the answer. ValueError if it answers another request."""
+        """Advance one time step with the answer. ValueError if it answers another request.
+
+        Warns, once per change, if the service does not look ahead as this simulation counts on.
+        """
         requested = self._require_answer(contacts, registry)
+        if words := self.unexpected(contacts):
+            warnings.warn(words, stacklevel=2)
         self._events.clear()
         self._cast.admit_waiting(registry, self._engine)
         states = self._engine.states()
@@ -192,6 +200,13 @@ class Simulation:
             events=list(self._events),
             hand_energy=solved.pushed_energy,
         )
+
+    def unexpected(self, contacts: ContactConstraintArray) -> str:
+        """What of the service's settings this simulation does not expect, and what to do; "": nothing, or nothing new.
+
+        Whoever asks tells the user: `finish_step` then does not warn of it again.
+        """
+        return self._lookahead_check.unexpected(contacts.lookahead)
 
     def strike(self, fragment_id: int, point: np.ndarray, overload: float) -> bool:
         """Break a fragment between two steps, as a blow at `point` (3,) [m] of its body frame would, without a push.

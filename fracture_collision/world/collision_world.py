@@ -52,6 +52,7 @@ from fracture_collision.world.settings import (
     geometry_settings,
     has_edges,
     most_listed,
+    settings_text,
 )
 
 # [m], [rad] Largest translation and rotation accepted within the lookahead time.
@@ -182,7 +183,7 @@ class CollisionWorld:
         found, now_remembered = query_pairs(
             scene, _rule(self.settings), self._scratch, self._crew, remembered, _work_limits(self.settings, len(pairs))
         )
-        answer = contact_answer(checked, here, radius, pairs, found, self.settings.penetration_tolerance)
+        answer = contact_answer(checked, here, radius, pairs, found, self.settings)
         if remembered is not None:
             self._remembered, self._paired = now_remembered, paired
             self._answered = _Answered(*self._asked_of(), asked, answer)
@@ -208,7 +209,7 @@ class CollisionWorld:
     def fragments(self) -> FragmentRegistry:
         """The registry of the last states, including bodies that arrived since; if events did, after all of them."""
         self._advance_to_news()
-        return self._registry.record()
+        return self._registry.record(settings_text(self.settings))
 
     def fragment_mesh(self, fragment_id: int) -> FragmentMesh:
         """Surface of a fragment for viewers: one that lives at the last states, or that `fragments` lists.

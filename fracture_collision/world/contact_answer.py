@@ -12,16 +12,19 @@ from fracture_collision.records import BUDGET_EXHAUSTED, ContactConstraintArray
 from fracture_collision.world.contact_ids import contact_ids
 from fracture_collision.world.gates.states_gate import CheckedStates
 from fracture_collision.world.present import Present
+from fracture_collision.world.settings import Settings
 
 
 def contact_answer(
-    checked: CheckedStates, here: Present, radius: np.ndarray, pairs: np.ndarray, found: PairContacts, tolerance: float
-) -> ContactConstraintArray:
-    """Build the answer from the pairs (p, 2), indices into `here`, and the contacts `found` for them.
+    checked: CheckedStates, here: Present, radius: np.ndarray, pairs: np.ndarray, found: PairContacts,
+    settings: Settings,
+) -> ContactConstraintArray:  # fmt: skip
+    """Build the answer from the pairs (p, 2), indices into `here`, and the contacts `found` for them with `settings`.
 
-    It lists pairs that have contacts or a missed depth bound above `tolerance`, a share of the smaller of their
-    `radius` (n,) [m]. Its contact arrays are those of `found`, not copies.
+    It lists pairs that have contacts or a missed depth bound above the penetration tolerance, a share of the smaller of
+    their `radius` (n,) [m]. Its contact arrays are those of `found`, not copies.
     """
+    tolerance = settings.penetration_tolerance
     fragments = _Fragments(here.ids, here.friction, here.restitution, radius)
     results = _Results(found.counts, found.bounds, found.exhausted, found.samples)
     a, b, begin, bounds, friction, restitution, keys, exhausted = _list_pairs(fragments, pairs, results, tolerance)
@@ -40,6 +43,7 @@ def contact_answer(
         normals=found.normals.ravel(),
         gaps=found.gaps,
         contact_ids=keys,
+        lookahead=float(settings.lookahead),
     )
 
 

@@ -117,8 +117,8 @@ class Registry:
             whole.update(self._bodies[body_id].digest)
         return whole.hexdigest()
 
-    def record(self) -> FragmentRegistry:
-        """The registry as it is published; computes masses of new fragments."""
+    def record(self, settings: str) -> FragmentRegistry:
+        """The registry as it is published, with the `settings_text`; computes masses of new fragments."""
         living = self._living.columns()
         masses = self._masses(living)
         return FragmentRegistry(
@@ -131,6 +131,7 @@ class Registry:
             inertias=masses[:, 4:].ravel(),
             sampling_gaps=self.geometry.sampling_gaps(living.rows),
             digest=self.digest(),
+            settings=settings,
         )
 
     def centers_of_mass(self, ids: np.ndarray) -> np.ndarray:

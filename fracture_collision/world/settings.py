@@ -6,6 +6,8 @@ that a node has its settings before kernels are loaded; world/registry.py maps e
 
 from __future__ import annotations
 
+import json
+from functools import lru_cache
 from typing import NamedTuple
 
 from fracture_collision.records import documented
@@ -127,6 +129,21 @@ SAMPLED, EDGES, SEARCHED = "sampled", "edges", "searched"
 SURFACES = (SAMPLED, EDGES, SEARCHED)
 TREES = ("restructured", "plain", "rebuilt")
 TRAVERSALS = ("alternating", "queue")
+
+
+# No contact depends on these: they share or save work, or they reject a message, which its refusal says.
+_WITHOUT_CONTACTS = frozenset({
+    "neighbour_lists", "threads", "max_pairs", "max_bodies", "max_nodes", "max_fragments", "max_message_bytes",
+})  # fmt: skip
+OF_CONTACTS = tuple(name for name in Settings._fields if name not in _WITHOUT_CONTACTS)
+
+
+@lru_cache(maxsize=8)
+def settings_text(settings: Settings) -> str:
+    """The settings that contacts depend on, as one line of JSON: `settings` of a FragmentRegistry."""
+    defaults = Settings._field_defaults
+    # a number has its setting's type, so that equal settings have equal texts
+    return json.dumps({name: type(defaults[name])(getattr(settings, name)) for name in OF_CONTACTS})
 
 
 def geometry_settings(settings: Settings) -> tuple[str | bool, ...]:

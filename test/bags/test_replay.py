@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import struct
 from pathlib import Path
 
@@ -13,12 +15,17 @@ from worlds.recorded_pane import CLASSES, STEPS, changed_bag, record_pane, repla
 from fracture_collision.bag.cdr import deserialize_record, serialize_record
 from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.exchanges import Run, read_runs
-from fracture_collision.bag.reader import BagMessage, read_messages
+from fracture_collision.bag.reader import SETTINGS, BagMessage, read_messages
+from fracture_collision.bag.writer import BagWriter
 from fracture_collision.records import INVALID_STATES, REMOVE, CollisionBody, SolidPrimitive
 from fracture_collision.replay import AS_RECORDED, Order, settings_of
+from fracture_collision.ros.nodes.recorder_node import bag_topic
+from fracture_collision.ros.runs.scene_recording import TOPICS
+from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.cdr_padding import zero_padding
 from fracture_collision.ros.wire.conversion import heading, to_message
 from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world.settings import settings_text
 
 STATES, CONTACTS, BODIES, EVENTS = "/fragment_states", "/contact_constraints", "/bodies", "/fracture_events"
 
@@ -298,6 +305,60 @@ def test_a_bag_without_settings_is_replayed_with_reported_defaults(bag: Path, tm
     plain = write_bag(tmp_path / "plain", read_messages(bag))
     settings, words = settings_of(plain, {})
     assert settings == Settings() and "defaults" in words[0]
+
+
+def with_registries(folder: Path, bag: Path, *texts: str) -> Path:
+    """The bag with registries that have these `settings`, and no custom data: as `ros2 bag record` leaves it."""
+    topics = [bag_topic(f"/{topic.name}", topic) for topic in (*TOPICS, qos.FRAGMENTS)]
+    registry = CollisionWorld(Settings(threads=1)).fragments()
+    with BagWriter(folder, topics) as writer:
+        for at, text in enumerate(texts):
+            data = serialize_record(registry._replace(settings=text), heading(0.0), 7)
+            writer.write("/fragments", data, at)
+        for message in read_messages(bag):
+            writer.write(message.topic, message.data, len(texts) + message.nanoseconds)
+    return folder
+
+
+def test_settings_are_read_from_registries(tmp_path: Path) -> None:
+    settings = Settings(contacts_per_pair=3, field="averaged", max_pairs=9)
+    recorded = record_pane(tmp_path / "recorded", settings._replace(max_pairs=Settings().max_pairs))
+    bag = with_registries(tmp_path / "bag", recorded, "", *[settings_text(settings)] * 2)
+    found, words = settings_of(bag, {"threads": 1})
+    assert found == settings._replace(threads=1, max_pairs=Settings().max_pairs)
+    assert words == ["the bag has the settings that contacts depend on; the replay uses the defaults of all others"]
+    assert replayed(read_runs(bag), **found._asdict()).exact and not replayed(read_runs(bag)).exact
+
+
+def test_settings_other_than_those_of_the_recorded_answers_are_named(tmp_path: Path) -> None:
+    bag = record_pane(tmp_path / "noted", Settings(contacts_per_pair=3))
+    other = "the replay uses other settings than the recorded answers: "
+    assert settings_of(bag, {"contacts_per_pair": 3, "threads": 2, "max_bodies": 9}).words == []
+    assert settings_of(bag, {"contacts_per_pair": 5, "lookahead": 0.01}).words == [
+        f"{other}contacts_per_pair: 5, recorded 3; lookahead: 0.01, recorded 0.0"
+    ]
+    first, last = Settings(contacts_per_pair=4), Settings(surfaces="sampled")
+    told = with_registries(tmp_path / "told", bag, settings_text(first), settings_text(last))
+    found = settings_of(told, {"surfaces": "edges"})
+    assert found.settings.contacts_per_pair == 8 and found.words[1:] == [
+        "the settings changed during the recording; the replay uses the last ones",
+        f"{other}surfaces: edges, recorded sampled",
+    ]
+    with BagWriter(tmp_path / "both", []) as writer:
+        writer.note(SETTINGS, json.dumps(Settings(contacts_per_pair=6)._asdict()))
+    (tmp_path / "both" / "metadata.yaml").unlink()
+    shutil.copy(next((tmp_path / "told").glob("*.mcap")), tmp_path / "both" / "both_1.mcap")
+    assert settings_of(tmp_path / "both", {}).words[-1] == (
+        f"{other}contacts_per_pair: 6, recorded 8; surfaces: edges, recorded sampled"
+    )
+
+
+@pytest.mark.parametrize("text", ["contacts_per_pair: 8", "[8]", '{"contacts_per_pair": "many"}'])
+def test_registries_with_unreadable_settings_are_rejected_with_an_explanation(
+    bag: Path, text: str, tmp_path: Path
+) -> None:
+    with pytest.raises(BagError, match="setting"):
+        settings_of(with_registries(tmp_path / "bag", bag, text), {})
 
 
 # --- bytes ----------------------------------------------------------------------------------------------------------

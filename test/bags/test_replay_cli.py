@@ -60,6 +60,8 @@ def test_a_bag_is_replayed_with_its_settings(bag: Path) -> None:
 def test_differing_answers_give_status_1_and_are_named(bag: Path, tmp_path: Path) -> None:
     done = run("replay", bag, "--settings", "contacts_per_pair=4")
     assert done.returncode == 1 and "differ from the recorded ones; the first: step" in done.stdout
+    note = "note: the replay uses other settings than the recorded answers: contacts_per_pair: 4, recorded 6"
+    assert note in done.stdout
     last = list(read_messages(bag, [CONTACTS]))[-1]
     stamp, run_id, contacts = deserialize_record(last.data, CLASSES[CONTACTS])
     changed = last._replace(data=serialize_record(contacts._replace(gaps=contacts.gaps * 2.0), stamp, run_id))

@@ -25,7 +25,7 @@ from worlds.recorded_pane import STEPS, record_pane, replayed
 from worlds.scene_of_length import scene_of_length
 
 from fracture_collision.bag.cdr import serialize_record
-from fracture_collision.bag.exchanges import read_runs
+from fracture_collision.bag.exchanges import read_runs, registry_settings
 from fracture_collision.bag.mcap_file import McapFile
 from fracture_collision.bag.mend import mend_bag
 from fracture_collision.bag.reader import message_counts, missing_words, read_messages, recorded_settings
@@ -41,6 +41,7 @@ from fracture_collision.ros.runs.scene_recording import TOPICS, record_scene
 from fracture_collision.ros.wire import qos
 from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.world import Settings
+from fracture_collision.world.settings import settings_text
 
 PATIENCE = 60.0  # [s] on a loaded machine
 
@@ -100,6 +101,7 @@ def test_nodes_record_the_same_as_the_library(tmp_path: Path) -> None:
         assert len(one) > 0 and one == other
     found, words = settings_of(recording.bag, {"threads": 1})
     assert (found, words) == (settings, [])
+    assert registry_settings(recording.bag) == [json.loads(settings_text(settings))]
     assert replayed(read_runs(recording.bag), **found._asdict()).exact
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import time
 from pathlib import Path
@@ -21,6 +22,7 @@ from fracture_collision.records import BOX, CollisionBody, FragmentStates, Solid
 from fracture_collision.ros.fastdds.message_origin import take_with_origin
 from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
 from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world.settings import settings_text
 
 RUN = 41
 ANSWERS, SETTINGS, REFUSED = (f"fracture_collision: {name}" for name in ("answers", "settings", "refused messages"))
@@ -153,6 +155,28 @@ def test_settings_change_between_two_answers(stage: StageWithClients) -> None:
         assert client.set_parameters(**{name: getattr(start, name)}) == [""]
     assert field_bytes(client.ask(STATES, RUN)) == answer_of(start)
     assert "settings changed after the answer to step 5 of run 41: contacts_per_pair: 8 -> 2" in service.log_text()
+
+
+def test_answers_and_registries_say_what_they_were_made_with(stage: StageWithClients) -> None:
+    """A registry with the changed settings comes before the first answer with them, and none without such a change."""
+    stage.start("collision_node", threads=1, lookahead=0.01)
+    client = stage.client()
+    client.await_service()
+    tell_all(client)
+    assert client.ask(STATES, RUN).lookahead == 0.01
+    assert client.ask(STATES._replace(positions=STATES.positions * np.nan), RUN).lookahead == 0.01, "of a refusal"
+    for change in ({"lookahead": 0.02}, {"surfaces": "sampled"}, {"threads": 2}, {"contacts_per_pair": 5}):
+        assert client.set_parameters(**change) == [""]
+        client.ask(STATES, RUN)
+    assert client.answers[-1].lookahead == 0.02
+    client.spin_until(lambda: len(client.registries) == 4, "a registry for each change that answers depend on")
+    told = [json.loads(registry.settings) for registry in client.registries]
+    named = [(each["lookahead"], each["surfaces"], each["contacts_per_pair"]) for each in told]
+    assert named == [(0.01, "edges", 8), (0.02, "edges", 8), (0.02, "sampled", 8), (0.02, "sampled", 5)]
+    assert len({registry.digest for registry in client.registries}) == 1
+    assert client.registries[-1].settings == settings_text(
+        Settings(lookahead=0.02, surfaces="sampled", contacts_per_pair=5)
+    )
 
 
 def test_invalid_parameter_changes_are_rejected_with_an_explanation(stage: StageWithClients) -> None:

@@ -17,6 +17,7 @@ from fracture_collision.ros.wire.cdr_padding import zero_padding
 from fracture_collision.ros.wire.conversion import heading, to_message, to_record
 from fracture_collision.share import share_directory
 from fracture_collision.world import Settings
+from fracture_collision.world.settings import settings_text
 
 RANDOM = np.random.default_rng(11)
 
@@ -45,9 +46,11 @@ EXAMPLES = [
     records.FragmentStates(0, 0, ids(0), floats(0), floats(0)),
     records.ContactConstraintArray(
         7, 2, records.BUDGET_EXHAUSTED, ids(2), ids(2), ids(3), floats(2), floats(2), floats(2), floats(15), floats(15),
-        floats(15), np.array([-0.0, np.inf, np.nan, 1e-300, 2.0]), ids(5, np.uint64),
+        floats(15), np.array([-0.0, np.inf, np.nan, 1e-300, 2.0]), ids(5, np.uint64), 1.0 / 120.0,
     ),
-    records.FragmentRegistry(2, ids(2), ids(2), ids(2), floats(2), floats(6), floats(12), floats(2), "ab" * 32),
+    records.FragmentRegistry(
+        2, ids(2), ids(2), ids(2), floats(2), floats(6), floats(12), floats(2), "ab" * 32, settings_text(Settings()),
+    ),
     records.FragmentMesh(9, floats(9).astype(np.float32), ids(6), np.array([True, False])),
 ]  # fmt: skip
 

@@ -180,7 +180,7 @@ def test_fragment_ids_above_the_signed_range_become_negative() -> None:
     mesh = FragmentMesh(highest, np.eye(3, dtype=np.float32).ravel(), np.arange(3, dtype=np.uint32), np.zeros(1, bool))
     markers.add_surface(mesh)
     states = whole()._replace(fragment_ids=np.array([highest]))
-    nothing = refusal_of(states)
+    nothing = refusal_of(states, 0.0)
     data = markers.message(Scene(Heading(0, 0, "world"), markers.poses(states), nothing), True)
     assert [each.id for each in deserialize_message(data, MarkerArray).markers if each.ns == "fragments"] == [-1]
 

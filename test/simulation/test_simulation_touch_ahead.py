@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -212,3 +213,33 @@ def test_a_shard_does_not_go_through_a_plate() -> None:
     assert not any(trial.is_through for trial in ahead)
     assert max(trial.energy_gain for trial in ahead) < 1e-12
     assert sum(run_trial(scene, 0.0).is_through for scene in scenes) > 6
+
+
+def test_a_service_that_does_not_look_ahead_by_a_step_is_warned_of_once_per_change() -> None:
+    scene = scene_of(10.0, 3, True)
+    with Lockstep(scene, Settings(threads=1, lookahead=0.5 * TIME_STEP)) as run:
+        with pytest.warns(UserWarning, match=f"a lookahead of {0.5 * TIME_STEP:g} s, but .* its time step") as told:
+            for _ in range(3):
+                run.step()
+        assert len(told) == 1 and f"Settings(lookahead={TIME_STEP:g})" in str(told[0].message)
+        run.world.change_settings(Settings(threads=1, lookahead=2.0 * TIME_STEP))
+        with pytest.warns(UserWarning, match="that do not come about within a step") as told:
+            for _ in range(3):
+                run.step()
+        assert len(told) == 1
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            run.world.change_settings(Settings(threads=1, lookahead=1.0004 * TIME_STEP))  # written with few digits
+            for _ in range(3):
+                run.step()
+        run.world.change_settings(Settings(threads=1))
+        with pytest.warns(UserWarning, match="a lookahead of 0 s, .* fast bodies may pass through others"):
+            run.step()
+
+
+def test_a_simulation_that_does_not_count_on_a_lookahead_takes_any() -> None:
+    with Lockstep(scene_of(10.0, 3, True), Settings(threads=1)) as run, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run.step()
+        run.world.change_settings(Settings(threads=1, lookahead=0.5 * TIME_STEP))
+        run.step()

@@ -23,6 +23,8 @@ TOPICS = {
     "CollisionBody": "bodies",
     "FractureEvent": "fracture_events",
     "FragmentStates": "fragment_states",
+    "ContactConstraintArray": "contact_constraints",
+    "FragmentRegistry": "fragments",
     "FragmentMesh": "fragment_meshes",
 }
 

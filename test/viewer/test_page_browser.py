@@ -112,7 +112,7 @@ def test_a_bag_is_played_reloaded_and_shown_in_two_windows(browser: Any, player:
 def contacts_at(points: np.ndarray) -> ContactConstraintArray:
     """One pair, fragments 3 and 4, penetrating by a millimetre at each point."""
     count = len(points)
-    empty = refusal_of(FragmentStates(0, 0, *(np.zeros(0),) * 3))
+    empty = refusal_of(FragmentStates(0, 0, *(np.zeros(0),) * 3), 0.0)
     return empty._replace(
         status=0, fragment_a=np.array([3]), fragment_b=np.array([4]), pair_begin=np.array([0, count]),
         missed_depth_bound=np.array([0.0012]), friction=np.zeros(1), restitution=np.zeros(1),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, field_bytes, ground
@@ -63,6 +65,16 @@ def test_changed_settings_change_the_answer(change: dict) -> None:
     before = answers(world)
     world.change_settings(START._replace(**change))
     assert answers(world) != before
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=str)
+def test_registries_name_the_settings_that_change_answers_alone(change: dict) -> None:
+    world = told_world(START)
+    before = json.loads(world.fragments().settings)
+    world.change_settings(START._replace(**change))
+    after = json.loads(world.fragments().settings)
+    assert after == before | {name: value for name, value in change.items() if name not in UNSEEN}
+    assert after.keys() == set(Settings._fields) - UNSEEN - {"max_pairs", "max_message_bytes"}
 
 
 def test_changed_limits_apply_to_later_messages() -> None:

@@ -201,7 +201,9 @@ def _run(scene: Scene, target: str, world: CollisionWorld, is_told: bool) -> Ite
             answer = world.contacts(states)
         else:
             world.present(states)
-            answer = _NO_CONTACTS._replace(step=states.step, fracture_sequence=states.fracture_sequence)
+            answer = _NO_CONTACTS._replace(
+                step=states.step, fracture_sequence=states.fracture_sequence, lookahead=scene.time_step
+            )
         report = simulation.finish_step(answer, world.fragments())
         if target == "heap" and states.step == 0:
             simulation.strike(TARGET_ID, np.zeros(3), OVERLOAD)

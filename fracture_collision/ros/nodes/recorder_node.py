@@ -109,7 +109,7 @@ class RecorderNode(Node):
         if text == self._noted_settings:
             return
         if self._noted_settings is not None and self._counts[qos.FRAGMENT_STATES.name]:
-            self.get_logger().warning("the service's settings have changed; the bag does not record at which step")
+            self.get_logger().warning("the service's settings have changed; a replay of the bag uses the last ones")
             self._bag.note(EARLIER_SETTINGS, self._noted_settings)
         self._noted_settings = text
         self._bag.note(SETTINGS, text)

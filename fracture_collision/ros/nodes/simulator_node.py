@@ -31,6 +31,7 @@ from fracture_collision.ros.wire.interfaces import COLLISION_NODE, Interface
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene
 from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.warm_up import compile_kernels
+from fracture_collision.world import Settings
 
 # Repeated requests: the first pause covers a service that compiles a kernel, the last one a service started by hand.
 # After a new subscriber or publisher the pause is short at first: one of the two directions may not be matched yet.
@@ -43,6 +44,12 @@ LOOK_INTERVAL = 0.02  # [s] between two checks for new subscribers and publisher
 
 PROGRESS_INTERVAL = 0.1  # [s]
 
+# Of the service's setting `surfaces`: what this simulator expects, and what others change.
+EXPECTED_SURFACES = Settings().surfaces
+EFFECTS = {
+    "sampled": "bodies whose edges cross may pass through each other",
+    "searched": "it is meant for checks, and answers take 30 to 100 times as long",
+}
 
 PARAMETERS = (
     Declaration("scene", "plates", "name in config/scenes, or the path of a scene file"),
@@ -103,6 +110,7 @@ class SimulatorNode(Node):
         self._asked = (0, 0)
         self._contacts: ContactConstraintArray | None = None
         self._registry: FragmentRegistry | None = None
+        self._known_settings, self._surfaces = "", EXPECTED_SURFACES  # of the service, as its last registry has them
         self._rows: list[tuple[float, ...]] = []
         self._progress_due = 0.0
 
@@ -150,6 +158,7 @@ class SimulatorNode(Node):
         request = self._simulation.begin_step()
         self._announce(request.bodies, request.events)
         contacts, registry, acknowledgement, round_trip = self._ask(request.states, executor)
+        self._tell_unexpected(contacts, registry)
         return self._simulation.finish_step(contacts, registry), acknowledgement, round_trip
 
     def _publish_time(self) -> None:
@@ -268,6 +277,22 @@ class SimulatorNode(Node):
         if message.run_id == self._run_id:
             self._registry = to_record(message)
 
+    def _tell_unexpected(self, contacts: ContactConstraintArray, registry: FragmentRegistry) -> None:
+        """Logs, once per change, which settings of the service are not those that this simulator expects."""
+        if words := self._simulation.unexpected(contacts):
+            self.get_logger().warning(words)
+        if registry.settings == self._known_settings:
+            return
+        self._known_settings = registry.settings
+        surfaces = _surfaces_of(registry.settings)
+        if surfaces not in (EXPECTED_SURFACES, self._surfaces):
+            effect = EFFECTS.get(surfaces, "other contacts are listed")
+            self.get_logger().warning(
+                f"the service has surfaces:={surfaces}, but this simulator expects {EXPECTED_SURFACES}: {effect}."
+                f" Set the service's parameter surfaces:={EXPECTED_SURFACES}"
+            )
+        self._surfaces = surfaces
+
     def _tell_progress(self) -> None:
         if not self._tells_progress:
             return
@@ -277,6 +302,14 @@ class SimulatorNode(Node):
             step, seconds, contacts, fragments = self._rows[-1][:4]
             told = {"step": step + 1, "steps": self._total_steps, "time": seconds, "contacts": contacts}
             print(json.dumps(told | {"fragments": fragments}), flush=True)
+
+
+def _surfaces_of(settings: str) -> str:
+    """`surfaces` among the settings of a registry; those expected if it does not say."""
+    try:
+        return str(json.loads(settings)["surfaces"])
+    except (ValueError, LookupError, TypeError):  # another service than ours
+        return EXPECTED_SURFACES
 
 
 def derived_run_id(scene_name: str, seed: int) -> int:

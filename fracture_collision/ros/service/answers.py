@@ -24,6 +24,7 @@ from fracture_collision.ros.wire.cdr_records import serialize_record
 from fracture_collision.ros.wire.contact_poses import serialize_contact_poses
 from fracture_collision.ros.wire.conversion import header_of, to_message
 from fracture_collision.ros.wire.markers import MarkersPublisher
+from fracture_collision.world.settings import settings_text
 
 TIMING_FILE = Declaration("timing_file", "", ".npy file for the times of each answer; '': none")
 SIMULATORS = (interfaces.SIMULATOR_NODE, interfaces.LIVE_SIMULATOR_NODE)
@@ -37,9 +38,9 @@ class Answers:
         self._neighbours = neighbours
         timing_file = declare(node, TIMING_FILE)
         self._rows = _row_file(timing_file) if timing_file else None
-        self._registry_version: tuple[int, int, int, int] | None = None
+        self._registry_version: tuple[int, int, int, int, str] | None = None
         self._meshes_published: set[int] = set()
-        self._meshes_version: tuple[int, int, int, int] | None = None  # of which all meshes are published
+        self._meshes_version: tuple[int, int, int, int, str] | None = None  # of which all meshes are published
         self.times = AnswerTimes()
         self.last = "no answer yet"
 
@@ -77,9 +78,10 @@ class Answers:
         if body.operation != ADD or body.body_id in run.body_ids:
             self._markers.add_body(body)
 
-    def refuse(self, heading: Heading, run_id: int, states: FragmentStates) -> None:
+    def refuse(self, run: CollisionRun, heading: Heading, states: FragmentStates) -> None:
         """Publishes that `states` are invalid: no contacts, and the status INVALID_STATES."""
-        self._contacts.publish(serialize_record(refusal_of(states), heading, run_id))
+        refusal = refusal_of(states, run.world.settings.lookahead)
+        self._contacts.publish(serialize_record(refusal, heading, run.run_id))
 
     def publish(
         self, run: CollisionRun, heading: Heading, states: FragmentStates, contacts: ContactConstraintArray,
@@ -99,7 +101,8 @@ class Answers:
         self._markers.after_answer(run.world, heading, states, contacts)
 
     def _publish_registry(self, run: CollisionRun, heading: Heading, fracture_sequence: int) -> None:
-        version = (run.run_id, fracture_sequence, len(run.body_ids), run.removals)
+        settings = settings_text(run.world.settings)
+        version = (run.run_id, fracture_sequence, len(run.body_ids), run.removals, settings)
         if version != self._registry_version:
             self._registry_version = version
             self._fragments.publish(to_message(run.world.fragments(), heading, run.run_id))

@@ -211,14 +211,14 @@ class CollisionNode(Node):
         """Answers the newest states if all bodies and events that they need have arrived."""
         if self._held is None or self._run is None or self._held.run_id != self._run.run_id:
             return
-        heading, run_id, states = self._held
+        heading, _, states = self._held
         started = time.perf_counter()
         try:
             contacts = self._run.answer(states)
         except InvalidMessage as error:
             self._held = None
             self._note(Refusal(qos.FRAGMENT_STATES.name, error.kind, str(error)))
-            self._answers.refuse(heading, run_id, states)
+            self._answers.refuse(self._run, heading, states)
             return
         if contacts is not None:
             self._held = None
