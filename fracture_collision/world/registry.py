@@ -92,8 +92,8 @@ class Registry:
     def rows_broken_since(self, changes: int) -> np.ndarray:
         """Rows of the fragments (n,) of bodies that broke since there were so many `changes`."""
         broken = [body for body, at in self._broke_at.items() if at > changes]
-        rows = [self._living.row_of(f) for body in broken for f in self._fragments_of.get(body, ())]
-        return np.array(sorted(rows), np.int64)
+        rows = [self._living.row_of(fragment) for body in broken for fragment in self._fragments_of[body]]
+        return np.array(rows, np.int64)
 
     def living(self) -> Columns:
         """Living fragments by ascending id."""

@@ -27,7 +27,13 @@ from fracture_collision.core.edges.ridge_contacts import least_apart
 from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.lookahead.later_contacts import bring_back, gap_then, keep_new, put_poses
 from fracture_collision.core.lookahead.motion import closing_along, closing_speed, put_way
-from fracture_collision.core.lookahead.staying_apart import THIN, gap_of_hulls, least_gap_ahead, thickness
+from fracture_collision.core.lookahead.staying_apart import (
+    THIN,
+    gap_of_hulls,
+    has_plane,
+    least_gap_ahead,
+    thickness,
+)
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel, spliced_kernel
 from fracture_collision.core.memory.kinds import SPHERE
 from fracture_collision.core.memory.pair import Sink
@@ -108,7 +114,9 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
     is_round, deep = pools.fragment.kind[a] == SPHERE or pools.fragment.kind[b] == SPHERE, math.inf
     if touches:
         thin = thickness(pools.fragment.box, a, b)
-        shortest, deep = max(shortest, SHORTEST_OF_THIN * thin), min(THIN * thin, HELD * radius)
+        deep = min(THIN * thin, HELD * radius)
+        if not has_plane(pools, a, b):
+            shortest = max(shortest, SHORTEST_OF_THIN * thin)
     left = motion.time - start
     speed = listed_speed = closing_speed(motion, i, j, start, left)
     reach = min(max(REACH * radius, REACH_ON_WAY * speed * left, REACH_IN_STEPS * shortest), FARTHEST_REACH * radius)
@@ -156,7 +164,7 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
             if found > 0:
                 if pools.normals == FACING:
                     turn_contacts(pools, pair, rule.near, out, found, scratch)
-                bring_back(moving, of_world, pair, out, found)
+                bring_back(pools, moving, of_world, pair, out, found)
                 if not touches:
                     return found, t, visits, unseen
                 new += keep_new(sink, at, found, rule.near)

@@ -7,6 +7,7 @@ import math
 from fracture_collision.core.contacts.known_samples import ID_SAMPLE, ID_SIDE
 from fracture_collision.core.lookahead.motion import put_pose
 from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.kinds import SPHERE
 from fracture_collision.core.memory.rotations import relative_pose, rotated, to_other, turned_back
 
 
@@ -66,8 +67,11 @@ def gap_then(sink, begin, end, moving, pair):
 
 
 @inlined_kernel
-def bring_back(moving, of_world, pair, sink, count):
+def bring_back(pools, moving, of_world, pair, sink, count):
     """Transform the first `count` contacts of a Sink from a later moment to current frames.
+
+    Points stay with their fragments, but for those of a sphere, which rolls over them: they are carried back without
+    its spin.
 
     pair, of_world (2, 3, 3): relative poses and world rotations at that moment, see put_poses.
     """
@@ -78,6 +82,12 @@ def bring_back(moving, of_world, pair, sink, count):
         side, row = ids[c, ID_SIDE], contacts[c]
         own, other = (i, j) if side == 0 else (j, i)
         x, y, z = to_other(rotation[1 - side], translation[1 - side], row[0], row[1], row[2])
+        if pools.fragment.kind[pair.a if side == 0 else pair.b] == SPHERE:
+            x, y, z = rotated(of_world[side], x, y, z)
+            x, y, z = turned_back(rotations[own], x, y, z)
+        elif pools.fragment.kind[pair.b if side == 0 else pair.a] == SPHERE:
+            row[3], row[4], row[5] = rotated(of_world[1 - side], row[3], row[4], row[5])
+            row[3], row[4], row[5] = turned_back(rotations[other], row[3], row[4], row[5])
         x, y, z = to_other(rotations[own], positions[own], x, y, z)
         p, back = positions[other], rotations[other]
         row[0], row[1], row[2] = turned_back(back, x - p[0], y - p[1], z - p[2])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from fracture_collision.core.contacts.known_samples import rounding_slack
+from fracture_collision.core.lookahead.later_contacts import gap_then, put_poses
 from fracture_collision.core.lookahead.motion import closing_along, closing_speed, put_pose, turned_in
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.kinds import PLANE, SPHERE, is_bounded
@@ -85,20 +86,26 @@ def may_get_through(boxes, a, b, i, j, motion):
 
 
 @inlined_kernel
-def may_touch_again(pools, pair, moving, moment, contacts, scratch):
-    """Whether two fragments that touch, or are about to, may pass through each other elsewhere before the time is over.
+def may_touch_again(pools, pair, moving, moment, sink, epsilon, scratch):
+    """Whether two fragments that touch, or are about to, may touch elsewhere before the time is over.
 
-    pair: with relative poses at `moment` [s]; moving: a Moving; contacts: their contacts at that moment, see Sink.
+    Nothing goes right through a plane, but what touches it may swing into it: there, whatever would be deeper than
+    where it touches by more than epsilon [m] counts. Of others, only those that may pass through each other do.
+
+    pair: with relative poses at `moment` [s], changed; moving: a Moving; sink: their contacts at that moment.
     """
     a, b, _, translation = pair
     i, j, rotations, _, motion = moving
     least = ABOUT_TO * min(pools.fragment.radius[a], pools.fragment.radius[b])
     least_gap = math.inf
-    for c in range(len(contacts)):
-        least_gap = min(least_gap, contacts[c, 9])
+    for c in range(len(sink.contacts)):
+        least_gap = min(least_gap, sink.contacts[c, 9])
     # a pair that already penetrates deeper than that may be anywhere
-    thin = THIN * thickness(pools.fragment.box, a, b)
-    if least_gap > least or -least_gap > thin or not may_get_through(pools.fragment.box, a, b, i, j, motion):
+    thin, is_plane = THIN * thickness(pools.fragment.box, a, b), has_plane(pools, a, b)
+    allowed = min(thin, epsilon) if is_plane else thin
+    if least_gap > least or -least_gap > thin:
+        return False
+    if closing_speed(motion, i, j, 0.0, motion.time) * motion.time <= allowed:
         return False
     # most pairs slide along their separating plane, or separate
     toward = scratch.ahead_toward
@@ -109,10 +116,20 @@ def may_touch_again(pools, pair, moving, moment, contacts, scratch):
     of_b = rotations[j] if moment == 0.0 else scratch.world_rotation[1]
     n = rotated(of_b, x, y, z)
     left = motion.time - moment
-    if max(closing_along(motion, i, j, moment, left, n[0], n[1], n[2]), 0.0) * left - gap <= thin:
+    if max(closing_along(motion, i, j, moment, left, n[0], n[1], n[2]), 0.0) * left - gap <= allowed:
         return False
     slack = rounding_slack(pools, a, b, translation)
-    return least_gap_ahead(pools, pair, moving, moment, gap, n, slack, scratch) < -thin
+    ahead = least_gap_ahead(pools, pair, moving, moment, gap, n, slack, scratch)
+    if is_plane and ahead < -allowed:
+        put_poses(moving, motion.time, scratch.world_rotation, scratch.world_position, pair)
+        return ahead < min(gap_then(sink, 0, len(sink.contacts), moving, pair), 0.0) - allowed
+    return ahead < -allowed
+
+
+@inlined_kernel
+def has_plane(pools, a, b):
+    """Whether one of two fragments is a plane."""
+    return pools.fragment.kind[a] == PLANE or pools.fragment.kind[b] == PLANE
 
 
 @inlined_kernel

@@ -17,6 +17,7 @@ from fracture_collision.core.lookahead.motion import between_balls, closing_spee
 from fracture_collision.core.lookahead.sphere_at_end import sphere_at_end
 from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hulls_stay_apart, may_touch_again
 from fracture_collision.core.memory.compiled import spliced_kernel
+from fracture_collision.core.memory.pair import Sink
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.pair.crowds import UNSHARED
 from fracture_collision.core.patches.pair_contacts import Wanted, put_patch
@@ -243,7 +244,9 @@ def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
             toward[d] = scratch.ahead_toward[d]  # warm start of hulls_stay_apart at the next step
         if count == 0 and unseen > 0.0:
             exhausted, bound = BY_LIMIT, max(bound, unseen)
-    if 0 < count <= room and may_touch_again(pools, pair, moving, moment, sink.contacts[:count], scratch):
+    has_room = 0 < count <= room
+    known = Sink(sink.contacts[: max(count, 0)], sink.ids[: max(count, 0)])
+    if has_room and may_touch_again(pools, pair, moving, moment, known, rule.epsilon, scratch):
         again, _, more, _ = first_touch(pools, edges, pair, moving, (moment, count), ahead, sink, scratch)
         visits += more
         count, is_ahead = count + again, is_ahead or again > 0

@@ -104,6 +104,7 @@ class SurfaceTable:
 
     @property
     def is_mostly_garbage(self) -> bool:
+        """Whether more than half of the triangles are of surfaces that were forgotten."""
         return 2 * self._unused > self._columns[1].used
 
     def forget(self, rows: np.ndarray) -> None:
@@ -289,10 +290,6 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     tolerance = wanted.near
     normals, gaps, (begin, end) = known
     rotation, placings = moving.rotations[moving.j], _placings(moving)
-    a = posed_at(_surface_at(surfaces, pair.a), placings[0], 0.0)
-    b = posed_at(_surface_at(surfaces, pair.b), placings[1], 0.0)
-    boxes = box_around(a.corners), box_around(b.corners)
-    size = min(_longest(boxes[0]), _longest(boxes[1]))
     found, deepest = end - begin, 0.0
     rows = found + MOST_ADDED
     planes = _Planes(np.empty((rows, 3)), np.empty(rows), np.empty((rows, 3)))
@@ -305,18 +302,17 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     for c in range(found):
         if planes.needs[c] == deepest:
             along[:] = given[c]
+    # samples that are deep in something thin may be past its middle, and contradict each other
+    x, is_asked = _first_translation(given, planes.needs[:found], deepest, tolerance)
+    a = posed_at(_surface_at(surfaces, pair.a), placings[0], 0.0)
+    b = posed_at(_surface_at(surfaces, pair.b), placings[1], 0.0)
+    boxes = box_around(a.corners), box_around(b.corners)
+    size = min(_longest(boxes[0]), _longest(boxes[1]))
     # pieces in place interlock: what parts them sideways is no way out
     likely = MOST_TIMES * deepest + MORE * tolerance
     is_shallow = is_sampled and deepest <= DEEP * tolerance
     most = likely if is_shallow else max(likely, wanted.moved)
     rules = _Rules(given, along, placings, wanted, boxes, size, most)
-    # samples that are deep in something thin may be past its middle, and contradict each other
-    x, is_possible = least_translation(given, planes.needs[:found])
-    if is_possible and deepest <= LEAST * tolerance:
-        # what only touches is moved a little apart, where that is possible
-        farther, is_apart = least_translation(given, planes.needs[:found] + SLACK * tolerance)
-        x = farther if is_apart else x
-    is_asked = is_possible and deepest <= DEEP * tolerance
     parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
     first = found if parted.is_apart else 0
     bound = min(_box_overlap(boxes), wanted.moved)
@@ -331,24 +327,49 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
         whole = _part_whole((a, b), parted, rules, planes)
         if whole.is_apart or not parted.is_apart:
             parted, first = whole, 0
+    elif not parted.is_apart:
+        return _LEAVE, bound
     x = parted.x
     if parted.is_apart:
         bound = min(bound, math.sqrt(_along(x, x)))
     count = _put_corners((a, b), planes, (first, parted.used), rules, sink)
     if count == 0:
         return _LEAVE, bound
+    if first < found:
+        _mark_those_across(planes, (first, parted.used), given, x, (gaps[begin:end], tolerance), stays[begin:end])
+    else:
+        stays[begin:end] = True
     room = most_contacts - count
     for c in range(begin, end):
-        n, is_left = given[c - begin], True
-        if first < found:
-            gap = gaps[c] + x[0] * n[0] + x[1] * n[1] + x[2] * n[2]
-            is_left = gaps[c] >= -tolerance and -LEAST * tolerance <= gap <= tolerance
-            for k in range(first, parted.used):
-                m = planes.normals[k]
-                is_left = is_left and abs(m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) < OTHER
-        stays[c] = is_left and room > 0
+        stays[c] = stays[c] and room > 0
         room -= stays[c]
     return count, bound
+
+
+@kernel
+def _mark_those_across(planes, rows, given, x, found, stays):
+    """Which contacts found stay (c,): shallow ones across the half-spaces in rows (first, end), that x brings near.
+
+    given: their directions (c, 3); found: their gaps (c,) [m] and the tolerance [m].
+    """
+    gaps, tolerance = found
+    for c in range(len(gaps)):
+        n = given[c]
+        gap = gaps[c] + _along(x, n)
+        stays[c] = gaps[c] >= -tolerance and -LEAST * tolerance <= gap <= tolerance
+        for k in range(rows[0], rows[1]):
+            stays[c] = stays[c] and abs(_along(planes.normals[k], n)) < OTHER
+
+
+@kernel
+def _first_translation(normals, needs, deepest, tolerance):
+    """(the least translation (3,) [m] that satisfies the contacts found, whether they are asked)."""
+    x, is_possible = least_translation(normals, needs)
+    if is_possible and deepest <= LEAST * tolerance:
+        # what only touches is moved a little apart, where that is possible
+        farther, is_apart = least_translation(normals, needs + SLACK * tolerance)
+        x = farther if is_apart else x
+    return x, is_possible and deepest <= DEEP * tolerance
 
 
 @kernel

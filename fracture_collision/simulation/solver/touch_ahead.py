@@ -147,7 +147,7 @@ def held_back(
         spare_of_pairs = np.minimum(of_bodies[pairs.body_a], of_bodies[pairs.body_b])
         # What cannot move may be smaller than what touches it.
         spare_of_pairs = np.minimum(spare_of_pairs, MOST_SPARE * near)
-        shares = _shares_as_searched(pairs, searched, moves, reach, spare_of_pairs, time_step)
+        shares = _shares_as_searched(pairs, moves - searched, reach, spare_of_pairs, gravity, time_step)
     touching = _touching(now, pairs, goes_round, settings, DEEPER if searched is not None else 1.0)
     if ahead is None and touching is None and searched is None:
         return HeldBack(velocities, drift, shares)
@@ -178,17 +178,21 @@ def held_back(
 
 
 def _shares_as_searched(
-    pairs: BodyPairs, searched: np.ndarray, moves: np.ndarray, reach: np.ndarray, spare: np.ndarray, time_step: float
+    pairs: BodyPairs, change: np.ndarray, reach: np.ndarray, spare: np.ndarray, gravity: np.ndarray, time_step: float
 ) -> np.ndarray:
     """(n,) share of the step for which each body may move along another path than the searched one.
 
-    No point of two touching bodies deviates from its path at the velocities `searched` by more than the pair's `spare`
-    (p,) [m].
+    No point of two touching bodies deviates from that path by more than the pair's `spare` (p,) [m]. change (n, 6): by
+    how much the velocities differ from those searched with. These are of free fall: weight that contacts bear counts as
+    no deviation, or bodies at rest on another that slide along it would be held back.
     """
-    change = moves - searched
-    astray = np.append(time_step * (lengths(change[:, :3]) + reach * lengths(change[:, 3:])), 0.0)
+    linear, square = change[:, :3], float((gravity * gravity).sum())
+    if square > 0.0:
+        borne = np.clip(-dots(linear, gravity) / square, 0.0, time_step)
+        linear = linear + borne[:, None] * gravity
+    astray = np.append(time_step * (lengths(linear) + reach * lengths(change[:, 3:])), 0.0)
     share = spare / np.maximum(astray[pairs.body_a] + astray[pairs.body_b], spare)
-    shares = np.ones(len(searched) + 1)
+    shares = np.ones(len(change) + 1)
     np.minimum.at(shares, pairs.body_a, share)
     np.minimum.at(shares, pairs.body_b, share)
     return shares[:-1]
