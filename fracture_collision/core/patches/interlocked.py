@@ -201,6 +201,9 @@ def _candidates(pools, pairs, is_convex, rule, found, scratch, out):
         for c in range(offsets[p], offsets[p + 1]):
             least = min(least, gaps[c])
         is_one = least < -LEAST * rule.near * radius
+        # samples of fragments are as close to each other as their faces are large: where they touch, some are near
+        if not is_one and kind_a == TETRAHEDRA and kind_b == TETRAHEDRA and least < math.inf:
+            continue
         out.along[used] = 0.0, 0.0, 1.0
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
         boxes = pools.fragment.box[a], pools.fragment.box[b]
@@ -303,7 +306,8 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
         if planes.needs[c] == deepest:
             along[:] = given[c]
     # samples that are deep in something thin may be past its middle, and contradict each other
-    x, is_asked = _first_translation(given, planes.needs[:found], deepest, tolerance)
+    x, is_possible = least_translation(given, planes.needs[:found])
+    is_asked = is_possible and deepest <= DEEP * tolerance
     a = posed_at(_surface_at(surfaces, pair.a), placings[0], 0.0)
     b = posed_at(_surface_at(surfaces, pair.b), placings[1], 0.0)
     boxes = box_around(a.corners), box_around(b.corners)
@@ -359,17 +363,6 @@ def _mark_those_across(planes, rows, given, x, found, stays):
         stays[c] = gaps[c] >= -tolerance and -LEAST * tolerance <= gap <= tolerance
         for k in range(rows[0], rows[1]):
             stays[c] = stays[c] and abs(_along(planes.normals[k], n)) < OTHER
-
-
-@kernel
-def _first_translation(normals, needs, deepest, tolerance):
-    """(the least translation (3,) [m] that satisfies the contacts found, whether they are asked)."""
-    x, is_possible = least_translation(normals, needs)
-    if is_possible and deepest <= LEAST * tolerance:
-        # what only touches is moved a little apart, where that is possible
-        farther, is_apart = least_translation(normals, needs + SLACK * tolerance)
-        x = farther if is_apart else x
-    return x, is_possible and deepest <= DEEP * tolerance
 
 
 @kernel
