@@ -61,6 +61,7 @@ class Elementary(NamedTuple):
     faults: Callable[[Trace], Iterator[str]]
     gravity: float = GRAVITY
     has_kinds: bool = True  # whether the setting's kind changes anything
+    least_duration: float = 0.0  # [s] at any scale: bodies in each other part at speeds in R/s
 
 
 def body(name: str, shape: dict[str, Any], at: Any = (0.0, 0.0, 0.0), material: str = STICKY, **more: Any) -> dict:
@@ -131,7 +132,7 @@ def scene_of(name: str, elementary: Elementary, setting: Setting) -> Scene:
         scene = parse_scene(
             {
                 "gravity": [0.0, 0.0, -elementary.gravity], "time_step": setting.step * root,
-                "duration": elementary.duration * root, "materials": MATERIALS,
+                "duration": max(elementary.duration * root, elementary.least_duration), "materials": MATERIALS,
                 "solver": {"sleep_time": SolverSettings().sleep_time * root},
                 "bodies": bodies,
             }, name, folder=Path(folder),
@@ -318,7 +319,7 @@ def in_wall(how_deep: float) -> Elementary:
         if np.abs(trace.angular).max() > 1e-3:
             yield f"turns at {np.abs(trace.angular).max():.4f} rad/s"
 
-    return Elementary(bodies, 8.0, faults, gravity=0.0)
+    return Elementary(bodies, 8.0, faults, gravity=0.0, least_duration=1.2)
 
 
 def one_place(shape: Callable[[str], dict[str, Any]], apart: float) -> Elementary:
@@ -333,7 +334,7 @@ def one_place(shape: Callable[[str], dict[str, Any]], apart: float) -> Elementar
         if np.abs(trace.linear).max() > 5.0:
             yield f"thrown at {np.abs(trace.linear).max():.1f} m/s"
 
-    return Elementary(bodies, 5.0, faults)
+    return Elementary(bodies, 5.0, faults, least_duration=1.2)
 
 
 def l_in_table() -> Elementary:
