@@ -237,7 +237,8 @@ def slide(what: str, speed: float) -> Elementary:
         lift = (trace.places[:, 0, 2] - trace.places[0, 0, 2]).max()
         if lift > 2e-5:
             yield f"lifted by {1e3 * lift:.3f} mm"
-        yield from is_near("goes [m]", trace.places[-1, 0, 0] + 1.5, 2.0, 0.01)
+        # it lands first, which may take a step
+        yield from is_near("goes [m]", trace.places[-1, 0, 0] + 1.5, 2.0, 0.01 + 1.0 / len(trace.places))
 
     return Elementary(bodies, 2.0 / speed, faults)
 

@@ -114,7 +114,9 @@ def _least_distance(world, states, answer, pair, rows, t) -> float:
         k = np.flatnonzero(states.fragment_ids == fragment)
         if len(k):
             (turn, place), (later_turn, later_place) = (_pose_of(each, k[0]) for each in (states, there))
-            p = later_turn.apply(turn.inv().apply(p - place)) + later_place
+            # a sphere rolls over its point
+            offset = p - place if fragment == BALL else later_turn.apply(turn.inv().apply(p - place))
+            p = later_place + offset
         found.append(p)
     return float(np.linalg.norm(found[0] - found[1], axis=1).min())
 

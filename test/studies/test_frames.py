@@ -31,12 +31,12 @@ def test_answers_of_a_whole_run(scene: str) -> None:
 
 
 def test_errors_at_steps_of_a_run() -> None:
-    recording = record("pane@0.25")
+    recording = record("piggy_bank@0.25")
     (own,) = errors_of(recording, REMEMBERED, {}, count=2)
-    assert (own.scene, own.method, own.steps) == ("pane@0.25", "ours", 2)
+    assert (own.scene, own.method, own.steps) == ("piggy_bank@0.25", "ours", 2)
     assert own.pairs >= own.penetrating + own.apart and own.apart > 0
     assert own.missed <= own.penetrating and own.false == 0
-    # the worst pair: an edge through a piece of the thin pane
+    # the worst pair: an edge through a thin piece
     assert 0.0 <= own.remaining_mean <= own.remaining_worst and own.remaining_mean < 0.1
     assert 0.0 <= own.unnecessary_mean < 1.0
     assert own == errors_of(recording, SEARCHED, {}, count=2)[0]

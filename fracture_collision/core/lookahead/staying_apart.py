@@ -23,6 +23,8 @@ from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_o
 THIN = 0.2
 # A pair with a gap below this share of R is about to touch: a solver treats it as touching.
 ABOUT_TO = 0.1
+# What touches a plane touches it elsewhere if it goes deeper there by more than this times as deep as where it touches.
+SINKS = 2.0
 
 
 @inlined_kernel
@@ -89,8 +91,8 @@ def may_get_through(boxes, a, b, i, j, motion):
 def may_touch_again(pools, pair, moving, moment, sink, epsilon, scratch):
     """Whether two fragments that touch, or are about to, may touch elsewhere before the time is over.
 
-    Nothing goes right through a plane, but what touches it may swing into it: there, whatever would be deeper than
-    where it touches by more than epsilon [m] counts. Of others, only those that may pass through each other do.
+    Nothing goes right through a plane, but what touches it may swing into it: there, whatever would be deeper by more
+    than epsilon [m] and SINKS counts. Of others, only those that may pass through each other do.
 
     pair: with relative poses at `moment` [s], changed; moving: a Moving; sink: their contacts at that moment.
     """
@@ -122,7 +124,8 @@ def may_touch_again(pools, pair, moving, moment, sink, epsilon, scratch):
     ahead = least_gap_ahead(pools, pair, moving, moment, gap, n, slack, scratch)
     if is_plane and ahead < -allowed:
         put_poses(moving, motion.time, scratch.world_rotation, scratch.world_position, pair)
-        return ahead < min(gap_then(sink, 0, len(sink.contacts), moving, pair), 0.0) - allowed
+        # what rests sinks by its weight alone, everywhere
+        return ahead < SINKS * min(gap_then(sink, 0, len(sink.contacts), moving, pair), 0.0) - allowed
     return ahead < -allowed
 
 
