@@ -8,7 +8,13 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.core.patches.facing_points import FacingPoints, Posed, axes_along, facing_points
+from fracture_collision.core.patches.facing_points import (
+    FacingPoints,
+    Posed,
+    axes_along,
+    facing_points,
+    overlap_along,
+)
 from fracture_collision.core.patches.surface import Surface, make_surface
 
 SHAPES = {
@@ -98,3 +104,25 @@ def test_what_is_nowhere_over_the_other_has_no_point() -> None:
     b.apply_translation([-0.01, 0.0, 0.0])
     found = facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), up, 1.0, 1.0)
     assert len(found.gaps) and np.abs(found.gaps).max() < 1e-12
+
+
+def test_the_overlap_is_that_of_the_deepest_point() -> None:
+    """Of those that are not deeper than asked for; where it may end early, some overlap beyond what is enough."""
+    random, deep = np.random.default_rng(6), 0
+    for _ in range(60):
+        posed = []
+        for name in random.choice(list(SHAPES), 2):
+            mesh, pose = SHAPES[name].copy(), np.eye(4)
+            pose[:3, :3], pose[:3, 3] = Rotation.random(random_state=random).as_matrix(), random.normal(size=3) * 0.25
+            posed.append(Posed(*surface_of(mesh.apply_transform(pose))))
+        n = random.normal(size=3)
+        n /= np.linalg.norm(n)
+        gaps = facing_points(*posed, n, 0.0, 1.0).gaps
+        overlap = max(-gaps.min(initial=0.0), 0.0)
+        assert overlap_along(*posed, n, -np.inf, np.inf, 1.0) == overlap
+        least = -0.6 * overlap
+        assert overlap_along(*posed, n, least, np.inf, 1.0) == max(-gaps[gaps >= least].min(initial=0.0), 0.0)
+        early = overlap_along(*posed, n, -np.inf, 0.5 * overlap, 1.0)
+        assert (0.5 * overlap < early <= overlap) or overlap == early == 0.0
+        deep += overlap > 0.1
+    assert deep > 20
