@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fracture_collision import world as service
+from fracture_collision.geometry.concave_shapes import l_block
 from fracture_collision.geometry.generators import TetGeometry, brick
 from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
@@ -30,7 +31,8 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
     world = service.CollisionWorld(Settings(threads=2, field="averaged"))
     geometry = brick((1.0, 0.5, 0.5), 0.5)
     progress("bodies: mesh preprocess, sphere trees (1 of 3)")
-    world.add_body(_tetrahedral_body(geometry.vertices, geometry.tetrahedra))
+    world.add_body(_tetrahedral_body(1, geometry))
+    world.add_body(_tetrahedral_body(10, l_block((1.0, 1.0, 0.5), (0.5, 0.5), 0.5)))
     world.add_body(CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.3,))))
     world.add_body(CollisionBody(3, 3, primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)), is_static=True))
     world.add_body(CollisionBody(4, 4, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
@@ -48,7 +50,7 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
     world.contacts(_states(5, 2, np.array([2, 5, 7, 8, 9])))
     for step, surfaces in ((6, "searched"), (7, "edges")):
         world.change_settings(world.settings._replace(lookahead=0.0, field="exact", surfaces=surfaces))
-        world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9])))
+        world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9, 10])))  # the last is concave, and deep in others
     world.fragments()
     world.fragment_mesh(5)
 
@@ -59,12 +61,12 @@ def compile_inspection_kernels() -> None:
 
     world = service.CollisionWorld(Settings(threads=1))
     geometry = brick((1.0, 0.5, 0.5), 0.5)
-    world.add_body(_tetrahedral_body(geometry.vertices, geometry.tetrahedra))
+    world.add_body(_tetrahedral_body(1, geometry))
     field_on_plane(world, world.present(_states(1, 0, np.array([1]))), 1, 0.0, finest=2)
 
 
-def _tetrahedral_body(vertices: np.ndarray, tetrahedra: np.ndarray) -> CollisionBody:
-    return CollisionBody(1, 1, vertices=vertices.ravel(), tetrahedra=tetrahedra.ravel())
+def _tetrahedral_body(number: int, geometry: TetGeometry) -> CollisionBody:
+    return CollisionBody(number, number, vertices=geometry.vertices.ravel(), tetrahedra=geometry.tetrahedra.ravel())
 
 
 def _wedge(body_id: int, fragment_id: int) -> CollisionBody:
