@@ -16,7 +16,7 @@ from fracture_collision.core.lookahead.motion import NO_MOTION, Motion, Moving, 
 from fracture_collision.core.lookahead.staying_apart import may_get_through
 from fracture_collision.core.memory.compiled import kernel, threaded_kernel
 from fracture_collision.core.memory.crew import Crew
-from fracture_collision.core.memory.kinds import SPHERE
+from fracture_collision.core.memory.kinds import PLANE, SPHERE
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import FACING
 from fracture_collision.core.mesh.surface_elements import ElementTable
@@ -328,8 +328,8 @@ def query_pairs(
 def _without_those_that_leave(fragments, step, motion, counts, stands_at, has_patches):
     """Drop moving pairs from those in place (see pairs_in_place); returns the pairs that are not in place then (m,).
 
-    Pairs that touch stay if they move so slowly that their present contacts are all they can have: not spheres and
-    patches, whose contacts are those of the end, too.
+    Pairs that touch stay if they move so slowly that their present contacts are all they can have: not spheres, planes
+    and patches, whose contacts are those of the end, too.
     """
     boxes, kinds = fragments.box, fragments.kind
     is_in_motion = is_moving(motion)
@@ -338,7 +338,7 @@ def _without_those_that_leave(fragments, step, motion, counts, stands_at, has_pa
         if stands_at[p] < 0 or not (is_in_motion[i] or is_in_motion[j]):
             continue
         a, b = step.rows[i], step.rows[j]
-        is_of_end = has_patches or kinds[a] == SPHERE or kinds[b] == SPHERE
+        is_of_end = has_patches or kinds[a] in (SPHERE, PLANE) or kinds[b] in (SPHERE, PLANE)
         if counts[p] == 0 or is_of_end or may_get_through(boxes, a, b, i, j, motion):
             stands_at[p] = -1
     return np.flatnonzero(stands_at < 0)
