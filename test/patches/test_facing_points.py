@@ -71,7 +71,7 @@ def test_no_ray_finds_less_than_the_least_gap() -> None:
         a, b = pair
         n = random.normal(size=3)
         n /= np.linalg.norm(n)
-        found: FacingPoints = facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), n, 1e9, 1.0)
+        found: FacingPoints = facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), n, (-np.inf, 1e9), 1.0)
         axes = axes_along(n)
         seen_a, seen_b = (mesh.vertices @ axes.T for mesh in pair)
         low = np.maximum(seen_a.min(axis=0), seen_b.min(axis=0))
@@ -89,7 +89,7 @@ def test_no_ray_finds_less_than_the_least_gap() -> None:
         excess.append(least - found.gaps.min())
         assert max(away(a, found.points), away(b, found.points + found.gaps[:, None] * n)) < 1e-8
         limit = found.gaps.min() + 0.05
-        near = facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), n, limit, 1.0)
+        near = facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), n, (-np.inf, limit), 1.0)
         wanted = {tuple(row) for row in found.features[found.gaps <= limit].tolist()}
         assert {tuple(row) for row in near.features.tolist()} == wanted
     assert len(excess) > 40 and np.median(excess) < 0.01
@@ -99,10 +99,10 @@ def test_what_is_nowhere_over_the_other_has_no_point() -> None:
     a, b = SHAPES["box"].copy(), SHAPES["box"].copy()
     b.apply_translation([1.01, 0.0, 0.4])
     up = np.array([0.0, 0.0, 1.0])
-    assert len(facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), up, 1.0, 1.0).gaps) == 0
+    assert len(facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), up, (-np.inf, 1.0), 1.0).gaps) == 0
     # flush rims count
     b.apply_translation([-0.01, 0.0, 0.0])
-    found = facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), up, 1.0, 1.0)
+    found = facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), up, (-np.inf, 1.0), 1.0)
     assert len(found.gaps) and np.abs(found.gaps).max() < 1e-12
 
 
@@ -117,7 +117,7 @@ def test_the_overlap_is_that_of_the_deepest_point() -> None:
             posed.append(Posed(*surface_of(mesh.apply_transform(pose))))
         n = random.normal(size=3)
         n /= np.linalg.norm(n)
-        gaps = facing_points(*posed, n, 0.0, 1.0).gaps
+        gaps = facing_points(*posed, n, (-np.inf, 0.0), 1.0).gaps
         overlap = max(-gaps.min(initial=0.0), 0.0)
         assert overlap_along(*posed, n, -np.inf, np.inf, 1.0) == overlap
         least = -0.6 * overlap

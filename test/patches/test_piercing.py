@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from fracture_collision.core.patches.facing_points import Posed
 from fracture_collision.core.patches.least_translation import least_translation
-from fracture_collision.core.patches.piercing import overlaps_of, pierced_pairs
+from fracture_collision.core.patches.piercing import do_listed_pierce, do_pierce, overlaps_of, pierced_pairs
 from fracture_collision.core.patches.surface import make_surface
 
 SHAPES = {
@@ -126,3 +126,34 @@ def test_opposite_needs_have_no_translation() -> None:
     x, is_possible = least_translation(normals, np.array([0.1, -0.2]))
     assert is_possible
     np.testing.assert_allclose(x, [0.0, 0.0, 0.1])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_whether_anything_pierces_anything_is_what_all_pairs_say(seed: int) -> None:
+    """Also where only the listed triangles are looked at, after a motion within the list's reach."""
+    random, pierced, told = np.random.default_rng(seed), 0, 0
+    meshes, reach = list(SHAPES.values()), 0.1
+    surfaces = [make_surface(np.ascontiguousarray(mesh.triangles.reshape(-1, 9))) for mesh in meshes]
+    for _ in range(150):
+        i, j = random.choice(len(meshes), 2)
+        turns, places = Rotation.random(2, random_state=random), random.normal(0.0, 0.3, (2, 3))
+        n, listed = random.normal(size=3), None
+        for moved in (np.zeros(3), reach * (1.0 - 1e-9) * n / np.linalg.norm(n)):
+            placed = places[0], places[1] + moved
+            poses = tuple((turn.as_matrix(), place) for turn, place in zip(turns, placed, strict=True))
+            truth = len(all_pierced(posed(meshes[i], turns[0], placed[0]), posed(meshes[j], turns[1], placed[1]))) > 0
+            room = np.empty((4000, 2), np.int32)
+            pierce, count = do_pierce(surfaces[i], surfaces[j], poses, n / np.linalg.norm(n), (room, reach))
+            assert pierce == truth and (count < 0) == truth
+            if moved.any() and listed is not None:
+                assert do_listed_pierce(surfaces[i], surfaces[j], poses, listed) == truth
+                told += truth
+            listed = room[:count] if count >= 0 else None
+            pierced += truth
+    assert 60 < pierced < 240 and told > 0
+
+
+def test_more_triangles_than_there_is_room_for_are_no_list() -> None:
+    cube = make_surface(np.ascontiguousarray(trimesh.creation.box((1.0, 1.0, 1.0)).triangles.reshape(-1, 9)))
+    poses = (np.eye(3), np.zeros(3)), (np.eye(3), np.array([1.0 + 1e-6, 0.0, 0.0]))
+    assert do_pierce(cube, cube, poses, np.array([1.0, 0.0, 0.0]), (np.empty((3, 2), np.int32), 1e-3)) == (False, -1)

@@ -22,7 +22,7 @@ from fracture_collision.core.memory.pools import FACING
 from fracture_collision.core.mesh.surface_elements import ElementTable
 from fracture_collision.core.pair.crowds import UNSEARCHED, UNSHARED, Overlaps, most_visits, visit_shares
 from fracture_collision.core.pair.pair_search import Geometry, Slot, look_ahead, patch_pair, search_pair
-from fracture_collision.core.patches.interlocked import SurfaceTable, part_interlocked
+from fracture_collision.core.patches.interlocked import Close, SurfaceTable, part_interlocked
 from fracture_collision.core.search.depth_limits import depth_limit_of_pair
 from fracture_collision.core.search.kept_answer import (
     NOTHING_KEPT,
@@ -304,7 +304,7 @@ def query_pairs(
     found = PairContacts(counts, bounds, visits, exhausted, *columns)
     if scene.whole is not None:
         unlimited = np.flatnonzero((stands_at < 0) & (shares == UNSHARED))
-        work = scene.geometry.shapes, unlimited
+        work = scene.geometry.shapes, unlimited, Close(lists.close, lists.toward, slots)
         rules = Rule(*rule[:-1], limits.contacts_per_pair), limits.contacts
         found, parted = part_interlocked(pools, scene.whole, step, scene.motion, work, rules, found, (scratch, crew))
         search.out.is_ahead[parted] = True

@@ -24,6 +24,8 @@ LEAST_CROSSING = 1e-4
 ON_RIM = 1e-9
 # Kinds of points.
 OF_B, OF_A, CROSSING = 0, 1, 2
+# Columns of _rows_of behind the box.
+LOW, HIGH, CORNERS = 4, 5, 6
 _CELLS_EACH = 1.0  # cells of the grid for each feature in it
 _MOST_CELLS = 64  # along each side
 
@@ -60,15 +62,15 @@ class _View(NamedTuple):
     """What of both is looked at."""
 
     window: np.ndarray  # (6,) [m] of both: least and most along u, along v; then the lowest of b, the highest of a
-    limit: np.ndarray  # (1,) [m] of gaps; where only the least is asked for, the least so far
+    lowest: float  # [m] of gaps that count
+    limit: np.ndarray  # (1,) [m] the highest of these; where only the least is asked for, the least so far
     rim: float  # [m] see ON_RIM
     is_of_least: bool  # only the least gap is asked for
-    lowest: float  # [m] of those no less than this
     enough: float  # [m] and the search ends at one that is less than this
 
 
 class _Grid(NamedTuple):
-    """Features by the cells that their boxes seen along n touch."""
+    """Features by the cells that their boxes seen along n meet."""
 
     low: tuple[float, float]
     per_cell: tuple[float, float]  # [1/m]
@@ -78,13 +80,13 @@ class _Grid(NamedTuple):
 
 
 @kernel
-def facing_points(a, b, n, limit, size):
-    """The FacingPoints of two Posed surfaces along a unit vector n, whose gap is no more than `limit` [m].
+def facing_points(a, b, n, gaps, size):
+    """The FacingPoints of two Posed surfaces along a unit vector n, whose gap is between `gaps` (lowest, highest) [m].
 
     size [m]: of the smaller fragment.
     """
     axes = axes_along(n)
-    view = _View(np.empty(6), np.array([limit]), ON_RIM * size, False, -math.inf, -math.inf)
+    view = _View(np.empty(6), gaps[0], np.array([gaps[1]]), ON_RIM * size, False, -math.inf)
     (points, gaps, features), count = _look(a, b, axes, view)
     for k in range(count):
         u, v, h = points[k, 0], points[k, 1], points[k, 2]
@@ -99,7 +101,7 @@ def overlap_along(a, b, n, lowest, most, size):
 
     Once one exceeds `most` [m], that one is the answer. size [m]: of the smaller fragment.
     """
-    view = _View(np.empty(6), np.zeros(1), ON_RIM * size, True, lowest, -most)
+    view = _View(np.empty(6), lowest, np.zeros(1), ON_RIM * size, True, -most)
     _look(a, b, axes_along(n), view)
     return 0.0 - view.limit[0]
 
@@ -202,36 +204,46 @@ def _along(m, n):
     return m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
 
 
-@inlined_kernel
-def _box(places, rows, k, corners, rim, box):
-    """The box (4,) seen along n of feature `k` of `rows`: of its first `corners` corners, wider by `rim`."""
-    box[0] = box[2] = math.inf
-    box[1] = box[3] = -math.inf
-    for i in range(corners):
-        p = places[rows[k, i]]
-        box[0], box[1] = min(box[0], p[0] - rim), max(box[1], p[0] + rim)
-        box[2], box[3] = min(box[2], p[1] - rim), max(box[3], p[1] + rim)
+@kernel
+def _rows_of(places, rows, chosen, corners, rim):
+    """What is read of features `chosen` (k,) of `rows`, which have so many corners each, one after the other.
+
+    (k, 6 + 3 corners) [m]: the box seen along n, wider by `rim`, least and most height, and the corners.
+    """
+    out = np.empty((len(chosen), CORNERS + 3 * corners))
+    for k in range(len(chosen)):
+        low_u = low_v = low = math.inf
+        high_u = high_v = high = -math.inf
+        for i in range(corners):
+            c = rows[chosen[k], i]
+            u, v, h = places[c, 0], places[c, 1], places[c, 2]
+            low_u, high_u = min(low_u, u), max(high_u, u)
+            low_v, high_v = min(low_v, v), max(high_v, v)
+            low, high = min(low, h), max(high, h)
+            out[k, CORNERS + 3 * i], out[k, CORNERS + 3 * i + 1], out[k, CORNERS + 3 * i + 2] = u, v, h
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = low_u - rim, high_u + rim, low_v - rim, high_v + rim
+        out[k, LOW], out[k, HIGH] = low, high
+    return out
 
 
 @kernel
-def _grid_of(places, rows, chosen, corners, window, rim):
-    """The _Grid of features `chosen` (k,) of `rows`, which have so many corners each."""
+def _grid_of(rows, window):
+    """The _Grid of features (k,), see _rows_of."""
     wide, high = window[1] - window[0], window[3] - window[2]
-    along = math.sqrt(max(_CELLS_EACH * len(chosen), 1.0))
+    along = math.sqrt(max(_CELLS_EACH * len(rows), 1.0))
     nu = min(max(int(along * math.sqrt(wide / high)), 1), _MOST_CELLS) if high > 0.0 and wide > 0.0 else 1
     nv = min(max(int(along * math.sqrt(high / wide)), 1), _MOST_CELLS) if high > 0.0 and wide > 0.0 else 1
     per_cell = (nu / wide if wide > 0.0 else 0.0), (nv / high if high > 0.0 else 0.0)
     grid = _Grid((window[0], window[2]), per_cell, (nu, nv), np.zeros(nu * nv + 1, np.int64), np.empty(0, np.int64))
-    box = np.empty(4)
     for turn in range(2):
         if turn == 1:
             total = 0
             for c in range(nu * nv + 1):
                 total, grid.begin[c] = total + grid.begin[c], total
             entries = np.empty(total, np.int64)
-        for k in range(len(chosen)):
-            _box(places, rows, chosen[k], corners, rim, box)
-            i0, i1, j0, j1 = _cells_of(grid, box)
+        for k in range(len(rows)):
+            i0, i1 = _cell(grid, 0, rows[k, 0]), _cell(grid, 0, rows[k, 1])
+            j0, j1 = _cell(grid, 1, rows[k, 2]), _cell(grid, 1, rows[k, 3])
             for i in range(i0, i1 + 1):
                 for j in range(j0, j1 + 1):
                     if turn == 1:
@@ -241,12 +253,6 @@ def _grid_of(places, rows, chosen, corners, window, rim):
         grid.begin[c] = grid.begin[c - 1]
     grid.begin[0] = 0
     return _Grid(grid.low, grid.per_cell, grid.cells, grid.begin, entries)
-
-
-@inlined_kernel
-def _cells_of(grid, box):
-    i0, i1 = _cell(grid, 0, box[0]), _cell(grid, 0, box[1])
-    return i0, i1, _cell(grid, 1, box[2]), _cell(grid, 1, box[3])
 
 
 @inlined_kernel
@@ -261,22 +267,26 @@ def _corners_over(of, over, triangles, kind, view, found, count):
     sign = 1.0 if kind == OF_B else -1.0
     if len(of.corners) == 0 or len(over.faces) == 0 or limit[0] < view.enough:
         return found, count
-    grid = _grid_of(over.places, triangles, over.faces, 3, view.window, rim)
+    faces = _rows_of(over.places, triangles, over.faces, 3, rim)
+    grid = _grid_of(faces, view.window)
     for k in range(len(of.corners)):
-        p = of.places[of.corners[k]]
-        c = _cell(grid, 0, p[0]) * grid.cells[1] + _cell(grid, 1, p[1])
+        corner = of.corners[k]
+        u, v, h = of.places[corner, 0], of.places[corner, 1], of.places[corner, 2]
+        c = _cell(grid, 0, u) * grid.cells[1] + _cell(grid, 1, v)
         for entry in range(grid.begin[c], grid.begin[c + 1]):
-            t = triangles[over.faces[grid.entries[entry]]]
-            u, v, w = over.places[t[0]], over.places[t[1]], over.places[t[2]]
-            if sign * p[2] - max(sign * u[2], sign * v[2], sign * w[2]) > limit[0]:
+            t = grid.entries[entry]
+            if u < faces[t, 0] or u > faces[t, 1] or v < faces[t, 2] or v > faces[t, 3]:
                 continue
-            is_over, height = _height_at(u, v, w, p, rim)
+            least, most = sign * (h - faces[t, HIGH]), sign * (h - faces[t, LOW])
+            if min(least, most) > limit[0] or max(least, most) < view.lowest:
+                continue
+            is_over, height = _height_at(faces, t, u, v, rim)
             if not is_over:
                 continue
-            gap = sign * (p[2] - height)
+            gap = sign * (h - height)
             if gap <= limit[0]:
-                on_a = height if kind == OF_B else p[2]
-                found, count = _add(view, found, count, (p[0], p[1], on_a, gap), (kind, of.corners[k], 0))
+                on_a = height if kind == OF_B else h
+                found, count = _add(view, found, count, (u, v, on_a, gap), (kind, corner, 0))
                 if limit[0] < view.enough:
                     return found, count
     return found, count
@@ -288,23 +298,25 @@ def _length(u, v):
 
 
 @inlined_kernel
-def _height_at(a, b, c, p, rim):
-    """(whether p is over the triangle a, b, c, or beyond a side by no more than `rim`; the triangle's height there)."""
-    ub, vb, uc, vc = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+def _height_at(faces, t, u, v, rim):
+    """(whether u, v is over a face, or beyond a side by no more than `rim`; the face's height there); see _rows_of."""
+    b, c = CORNERS + 3, CORNERS + 6
+    au, av, ah = faces[t, CORNERS], faces[t, CORNERS + 1], faces[t, CORNERS + 2]
+    ub, vb, uc, vc = faces[t, b] - au, faces[t, b + 1] - av, faces[t, c] - au, faces[t, c + 1] - av
     area = ub * vc - uc * vb
     if area == 0.0:
         return False, 0.0
     size = abs(area)
-    pu, pv = p[0] - a[0], p[1] - a[1]
+    pu, pv = u - au, v - av
     of_b, of_c = (pu * vc - uc * pv) / area, (ub * pv - pu * vb) / area
     of_a = 1.0 - of_b - of_c
     if of_b * size < -rim * _length(uc, vc) or of_c * size < -rim * _length(ub, vb):
         return False, 0.0
-    if of_a * size < -rim * _length(b[0] - c[0], b[1] - c[1]):
+    if of_a * size < -rim * _length(faces[t, b] - faces[t, c], faces[t, b + 1] - faces[t, c + 1]):
         return False, 0.0
     of_b, of_c = min(max(of_b, 0.0), 1.0), min(max(of_c, 0.0), 1.0)
-    height = a[2] + of_b * (b[2] - a[2]) + of_c * (c[2] - a[2])
-    return True, min(max(height, min(a[2], b[2], c[2])), max(a[2], b[2], c[2]))
+    height = ah + of_b * (faces[t, b + 2] - ah) + of_c * (faces[t, c + 2] - ah)
+    return True, min(max(height, faces[t, LOW]), faces[t, HIGH])
 
 
 @kernel
@@ -313,61 +325,62 @@ def _crossings(of_a, edges_a, of_b, edges_b, view, found, count):
     limit, rim = view.limit, view.rim
     if len(of_a.edges) == 0 or limit[0] < view.enough or len(of_b.edges) == 0:
         return found, count
-    grid = _grid_of(of_b.places, edges_b, of_b.edges, 2, view.window, rim)
-    box, other = np.empty(4), np.empty(4)
-    for k in range(len(of_a.edges)):
-        i = of_a.edges[k]
-        p, q = of_a.places[edges_a[i, 0]], of_a.places[edges_a[i, 1]]
-        _box(of_a.places, edges_a, i, 2, rim, box)
-        u0, u1, v0, v1 = _cells_of(grid, box)
-        for cu in range(u0, u1 + 1):
-            for cv in range(v0, v1 + 1):
+    mine = _rows_of(of_a.places, edges_a, of_a.edges, 2, rim)
+    others = _rows_of(of_b.places, edges_b, of_b.edges, 2, rim)
+    grid = _grid_of(others, view.window)
+    for i in range(len(mine)):
+        low_u, high_u, low_v, high_v = mine[i, 0], mine[i, 1], mine[i, 2], mine[i, 3]
+        low, high = mine[i, LOW], mine[i, HIGH]
+        for cu in range(_cell(grid, 0, low_u), _cell(grid, 0, high_u) + 1):
+            for cv in range(_cell(grid, 1, low_v), _cell(grid, 1, high_v) + 1):
                 c = cu * grid.cells[1] + cv
                 for entry in range(grid.begin[c], grid.begin[c + 1]):
-                    j = of_b.edges[grid.entries[entry]]
-                    r, s = of_b.places[edges_b[j, 0]], of_b.places[edges_b[j, 1]]
-                    if min(r[2], s[2]) - max(p[2], q[2]) > limit[0]:
+                    j = grid.entries[entry]
+                    if low_u > others[j, 1] or high_u < others[j, 0] or low_v > others[j, 3] or high_v < others[j, 2]:
                         continue
-                    _box(of_b.places, edges_b, j, 2, rim, other)
-                    low_u, low_v = max(box[0], other[0]), max(box[2], other[2])
-                    if low_u > min(box[1], other[1]) or low_v > min(box[3], other[3]):
+                    if others[j, LOW] - high > limit[0] or others[j, HIGH] - low < view.lowest:
                         continue
                     # two boxes may share several cells: the one at the lower corner of their overlap counts
-                    if _cell(grid, 0, low_u) != cu or _cell(grid, 1, low_v) != cv:
+                    u, v = max(low_u, others[j, 0]), max(low_v, others[j, 2])
+                    if _cell(grid, 0, u) != cu or _cell(grid, 1, v) != cv:
                         continue
-                    crosses, u, v, height, gap = _crossing(p, q, r, s, rim)
+                    crosses, u, v, height, gap = _crossing(mine, i, others, j, rim)
                     if crosses and gap <= limit[0]:
-                        found, count = _add(view, found, count, (u, v, height, gap), (CROSSING, i, j))
+                        feature = CROSSING, of_a.edges[i], of_b.edges[j]
+                        found, count = _add(view, found, count, (u, v, height, gap), feature)
                         if limit[0] < view.enough:
                             return found, count
     return found, count
 
 
 @inlined_kernel
-def _crossing(p, q, r, s, rim):
-    """Whether segments p q and r s cross as seen, where (u, v), the first's height there, and the other's above it."""
-    ua, va, ub, vb = q[0] - p[0], q[1] - p[1], s[0] - r[0], s[1] - r[1]
+def _crossing(a, i, b, j, rim):
+    """Whether rows of two _rows_of cross as seen, where (u, v), the first's height there, and the other's above it."""
+    p, q = CORNERS, CORNERS + 3
+    ua, va, ub, vb = a[i, q] - a[i, p], a[i, q + 1] - a[i, p + 1], b[j, q] - b[j, p], b[j, q + 1] - b[j, p + 1]
     area = ua * vb - va * ub
     length_a, length_b = _length(ua, va), _length(ub, vb)
     if abs(area) <= LEAST_CROSSING * length_a * length_b:
         return False, 0.0, 0.0, 0.0, 0.0
-    wu, wv = r[0] - p[0], r[1] - p[1]
+    wu, wv = b[j, p] - a[i, p], b[j, p + 1] - a[i, p + 1]
     on_a, on_b = (wu * vb - wv * ub) / area, (wu * va - wv * ua) / area
     if min(on_a, 1.0 - on_a) * length_a < -rim or min(on_b, 1.0 - on_b) * length_b < -rim:
         return False, 0.0, 0.0, 0.0, 0.0
     on_a, on_b = min(max(on_a, 0.0), 1.0), min(max(on_b, 0.0), 1.0)
-    height = p[2] + on_a * (q[2] - p[2])
-    return True, p[0] + on_a * ua, p[1] + on_a * va, height, r[2] + on_b * (s[2] - r[2]) - height
+    height = a[i, p + 2] + on_a * (a[i, q + 2] - a[i, p + 2])
+    other = b[j, p + 2] + on_b * (b[j, q + 2] - b[j, p + 2])
+    return True, a[i, p] + on_a * ua, a[i, p + 1] + on_a * va, height, other - height
 
 
 @kernel
 def _add(view, found, count, point, feature):
     """Write a point; returns (the FacingPoints, which may be larger ones, number of points)."""
     points, gaps, features = found
+    if point[3] < view.lowest:
+        return found, count
     if view.is_of_least:
-        if point[3] >= view.lowest:
-            view.limit[0] = point[3]
-        return found, 0
+        view.limit[0] = point[3]
+        return found, count
     if count == len(gaps):
         points = np.vstack((points, np.empty((count, 3))))
         gaps = np.append(gaps, np.empty(count))

@@ -14,6 +14,7 @@ more, and the next translation satisfies them, too: so the directions of all ove
 from __future__ import annotations
 
 import math
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ import numpy as np
 from fracture_collision.core.contacts.contact_choice import Rule
 from fracture_collision.core.contacts.contact_places import make_world_contacts, put_in_world
 from fracture_collision.core.contacts.known_samples import ID_SAMPLE, share_a_body
-from fracture_collision.core.lookahead.motion import MOST_TURN, Motion, Moving, put_pose, turned_in
+from fracture_collision.core.lookahead.motion import MOST_TURN, Motion, Moving, closing_speed, put_pose, turned_in
 from fracture_collision.core.lookahead.staying_apart import gap_of_hulls
 from fracture_collision.core.memory.compiled import (
     allocating_kernel,
@@ -35,7 +36,13 @@ from fracture_collision.core.memory.kinds import TETRAHEDRA, WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import GrowableArray, Pools
 from fracture_collision.core.memory.rotations import turned_back
-from fracture_collision.core.patches.facing_points import FacingPoints, Posed, box_around, facing_points, overlap_along
+from fracture_collision.core.patches.facing_points import (
+    FacingPoints,
+    Posed,
+    box_around,
+    facing_points,
+    overlap_along,
+)
 from fracture_collision.core.patches.least_translation import least_translation
 from fracture_collision.core.patches.pair_contacts import (
     MOVED,
@@ -47,11 +54,19 @@ from fracture_collision.core.patches.pair_contacts import (
     put_contact,
     seen_from,
 )
-from fracture_collision.core.patches.piercing import close_pairs, in_order, overlaps_of, pierced_of, pierced_pairs
+from fracture_collision.core.patches.piercing import (
+    close_pairs,
+    do_listed_pierce,
+    do_pierce,
+    in_order,
+    overlaps_of,
+    pierced_of,
+    pierced_pairs,
+)
 from fracture_collision.core.patches.shapes import Shapes, triangles_of
 from fracture_collision.core.patches.surface import Surface, make_surface
 from fracture_collision.core.search.kept_answer import PairContacts
-from fracture_collision.core.search.neighbour_lists import IN_PLACE, displacement
+from fracture_collision.core.search.neighbour_lists import IN_PLACE, CloseTriangles, displacement, keep_pose
 from fracture_collision.core.search.scratch import Scratch
 from fracture_collision.core.separation.oriented_boxes import box_clearance
 from fracture_collision.grouping import begins_of
@@ -72,6 +87,8 @@ ALIKE = 0.25
 LEAST, SLACK = 0.5, 0.1
 # Translations tried, and directions added, at most.
 MOST_TURNS, MOST_ADDED = 4, 8
+# Points of what is moved aside, by little, move by no more than this times the body's own.
+BESIDE = 1.1
 # One direction for the whole surfaces is taken if they overlap along it by no more than this times the deepest contact
 # and so many tolerances.
 MOST_TIMES, MORE = 3.0, 2.0
@@ -83,19 +100,31 @@ _LEAVE, _ALL = -1, -2
 _DIRECTION_BIT = 59  # of a contact's number: above kind and feature
 
 
+class Close(NamedTuple):
+    """What is kept of pairs from step to step."""
+
+    lists: CloseTriangles
+    toward: np.ndarray  # (room, 3) float64: see NeighbourLists
+    slots: np.ndarray  # (p,) int64: a pair's slot, -1: none
+
+
 class Surfaces(NamedTuple):
     """Surfaces of some fragments; rows count from a fragment's first."""
 
     begin: np.ndarray  # (F, 3) int64 first row of: corners, triangles, edges; -1: not made
     end: np.ndarray  # (F, 3) int64
+    stamps: np.ndarray  # (F,) int64: no two surfaces ever made have the same
     all: Surface
+
+
+_STAMPS = count(1)
 
 
 class SurfaceTable:
     """Surfaces of fragments, made when first asked for. Valid until their body breaks: others are divided anew then."""
 
     def __init__(self) -> None:
-        self._begin, self._end = np.full((0, 3), -1), np.full((0, 3), -1)
+        self._begin, self._end, self._stamps = np.full((0, 3), -1), np.full((0, 3), -1), np.zeros(0, np.int64)
         self._columns = [
             GrowableArray(3, np.float64), GrowableArray(3, np.int32), GrowableArray(3, np.float64),
             GrowableArray(2, np.int32), GrowableArray(2, np.int32), GrowableArray(0, np.bool_),
@@ -120,6 +149,7 @@ class SurfaceTable:
         if more > 0:
             nothing = np.full((more, 3), -1)
             self._begin, self._end = np.vstack((self._begin, nothing)), np.vstack((self._end, nothing))
+            self._stamps = np.append(self._stamps, np.zeros(more, np.int64))
         for f in rows[self._begin[rows, 0] < 0].tolist():
             triangles, _ = triangles_of(pools, f, f + 1)
             made = make_surface(triangles[in_order(triangles)])
@@ -127,14 +157,8 @@ class SurfaceTable:
             for column, values in zip(self._columns, made, strict=True):
                 column.append(values)
             self._end[f] = [self._columns[k].used for k in (0, 1, 3)]
-        return Surfaces(self._begin, self._end, Surface(*(column.view for column in self._columns)))
-
-
-class _Chosen(NamedTuple):
-    """Pairs to be looked at."""
-
-    pairs: np.ndarray  # (k,) int64
-    along: np.ndarray  # (m, 3) unit: a direction of each along which their hulls overlap little; m >= k
+            self._stamps[f] = next(_STAMPS)
+        return Surfaces(self._begin, self._end, self._stamps, Surface(*(column.view for column in self._columns)))
 
 
 class _Out(NamedTuple):
@@ -147,34 +171,32 @@ class _Out(NamedTuple):
 
 
 def part_interlocked(
-    pools: Pools, table: SurfaceTable, step: Step, motion: Motion, work: tuple[Shapes, np.ndarray],
+    pools: Pools, table: SurfaceTable, step: Step, motion: Motion, work: tuple[Shapes, np.ndarray, Close],
     rules: tuple[Rule, int], found: PairContacts, own: tuple[tuple[Scratch, ...], Crew],
 ) -> tuple[PairContacts, np.ndarray]:  # fmt: skip
     """`found` with contacts of whole surfaces, where a concave pair is deep or pierces; and which pairs' changed.
 
-    work: the Shapes, and the pairs (m,) that `found` was searched for; rules: a Rule with epsilon and near as shares of
-    the smaller R, its limit that of each pair, and how many contacts all may have; own: a Scratch for each thread of
-    the Crew.
+    work: the Shapes, the pairs (m,) that `found` was searched for, and what is kept of pairs; rules: a Rule with
+    epsilon and near as shares of the smaller R, its limit that of each pair, and how many contacts all may have; own: a
+    Scratch for each thread of the Crew.
     """
-    (shapes, todo), (rule, most), (scratch, crew) = work, rules, own
-    offsets = begins_of(found.counts)
-    chosen = _Chosen(np.empty(len(todo), np.int64), np.empty((len(todo), 3)))
-    used = _candidates(pools, (step, todo), shapes.is_convex, rule, (found.gaps, offsets), scratch[0], chosen)
-    todo = chosen.pairs[:used]
+    (shapes, todo, kept), (rule, most), (scratch, crew) = work, rules, own
+    offsets, bounds = begins_of(found.counts), found.bounds.copy()
+    todo = _candidates(pools, (step, todo), shapes.is_convex, rule, bounds, scratch[0])
     if not len(todo) or rule.wanted > MOST_WANTED:
-        return found, todo
+        return found._replace(bounds=bounds), todo
     surfaces = table.of(pools, np.unique(step.rows[step.pairs[todo]]))
     p, wanted = len(step.pairs), min(rule.wanted, rule.limit)
     spare = (most - len(found.gaps)) // len(todo)
     sink = Sink(np.empty((len(todo) * wanted, 10)), np.empty((len(todo) * wanted, 5), np.int64))
-    out = _Out(np.full(p, _LEAVE), found.bounds.copy(), np.ones(len(found.gaps), np.bool_), sink)
-    chosen = _Chosen(todo, chosen.along)
-    crew.share(_part_share, (pools, surfaces), (step, motion), chosen, rule, (found, offsets, spare), out, own=scratch)
+    out = _Out(np.full(p, _LEAVE), bounds, np.ones(len(found.gaps), np.bool_), sink)
+    known = found, offsets, spare, kept
+    crew.share(_part_share, (pools, surfaces), (step, motion), todo, rule, known, out, own=scratch)
     changed = np.flatnonzero(out.counts >= 0)
     if not len(changed):
         return found._replace(bounds=out.bounds), changed
-    kept = np.append(0, np.cumsum(out.stays))
-    counts = kept[offsets[1:]] - kept[offsets[:-1]] + np.maximum(out.counts, 0)
+    stay = np.append(0, np.cumsum(out.stays))
+    counts = stay[offsets[1:]] - stay[offsets[:-1]] + np.maximum(out.counts, 0)
     columns = make_world_contacts(int(counts.sum()))
     slot = np.full(p, -1)
     slot[todo] = wanted * np.arange(len(todo))
@@ -182,74 +204,93 @@ def part_interlocked(
     return PairContacts(counts, out.bounds, found.visits, found.exhausted, *columns), changed
 
 
-@query_kernel
-def _candidates(pools, pairs, is_convex, rule, found, scratch, out):
-    """Write the pairs that are to be looked at to a _Chosen; returns their number.
+def _candidates(pools, pairs, is_convex, rule, bounds, scratch):
+    """Pairs (k,) of those asked about, a Step's and their numbers, that are to be looked at.
 
-    pairs: the Step and the numbers of its pairs that are asked about; found: gaps of contacts, and their offsets.
+    Sets the missed depth bounds (p,) [m] of pieces that are where they were one.
     """
-    (step, todo), (gaps, offsets), used = pairs, found, 0
+    kept = np.empty(len(pairs[1]), np.int64)
+    return kept[: _put_candidates(pools, pairs, is_convex, rule, bounds, scratch, kept)]
+
+
+@query_kernel
+def _put_candidates(pools, pairs, is_convex, rule, bounds, scratch, out):
+    (step, todo), used = pairs, 0
     for p in todo:
         a, b = step.rows[step.pairs[p, 0]], step.rows[step.pairs[p, 1]]
         if is_convex[a] and is_convex[b]:
             continue
-        kind_a, kind_b = pools.fragment.kind[a], pools.fragment.kind[b]
-        if kind_a not in WITH_FACES or kind_b not in WITH_FACES:
+        if pools.fragment.kind[a] not in WITH_FACES or pools.fragment.kind[b] not in WITH_FACES:
             continue
-        radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
-        least = math.inf
-        for c in range(offsets[p], offsets[p + 1]):
-            least = min(least, gaps[c])
-        is_one = least < -LEAST * rule.near * radius
-        # samples of fragments are as close to each other as their faces are large: where they touch, some are near
-        if not is_one and kind_a == TETRAHEDRA and kind_b == TETRAHEDRA and least < math.inf:
-            continue
-        out.along[used] = 0.0, 0.0, 1.0
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
-        boxes = pools.fragment.box[a], pools.fragment.box[b]
-        if not is_one and box_clearance(boxes[0], boxes[1], pair.rotation[0], pair.translation[0], 0.0) > 0.0:
+        if share_a_body(pools, pair.a, pair.b):
+            moved = displacement(pools, pair, IN_PLACE)
+            if MOVED * moved <= rule.epsilon * min(pools.fragment.radius[a], pools.fragment.radius[b]):
+                bounds[p] = moved
+                continue
+        if box_clearance(pools.fragment.box[a], pools.fragment.box[b], pair.rotation[0], pair.translation[0], 0.0) > 0:
             continue
-        if share_a_body(pools, pair.a, pair.b) and MOVED * displacement(pools, pair, IN_PLACE) <= rule.epsilon * radius:
-            continue
-        if not is_one:
-            scratch.toward[0] = scratch.toward[1] = scratch.toward[2] = 0.0
-            gap, x, y, z = gap_of_hulls(pools, pair, 0.0, scratch.toward, scratch)
-            is_one = gap < -rule.epsilon * radius
-            out.along[used] = x, y, z
-        if is_one:
-            out.pairs[used] = p
-            used += 1
+        out[used] = p
+        used += 1
     return used
 
 
 @threaded_kernel
-def _part_share(geometry, moving, chosen, rule, known, out, scratch, part):
-    """Process every pair of a _Chosen that is a thread's, see Crew.share.
+def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
+    """Process every pair of `todo` that is a thread's, see Crew.share.
 
-    known: PairContacts, their offsets, and how many contacts more each pair may have.
+    known: PairContacts, their offsets, how many contacts more each pair may have, and a Close.
     """
     pools, surfaces = geometry
     step, motion = moving
-    found, offsets, spare = known
+    found, offsets, spare, kept = known
     thread, threads = part
     wanted = min(rule.wanted, rule.limit)
-    for turn in range(thread, len(chosen.pairs), threads):
-        p = chosen.pairs[turn]
+    for turn in range(thread, len(todo), threads):
+        p = todo[turn]
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
-        radius = min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
-        moved = math.inf
+        tolerance = rule.near * min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
+        moved, rows = math.inf, (offsets[p], offsets[p + 1])
         if share_a_body(pools, pair.a, pair.b):
             moved = displacement(pools, pair, IN_PLACE)
-        moves = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
-        rows = offsets[p], offsets[p + 1]
+        along, slot, reach = scratch.toward, kept.slots[p], 0.0
+        # how far the two may yet move until other triangles may pierce each other than those listed [m]
+        left = _left_of(pools, surfaces, pair, kept.lists, slot)
+        if rows[0] == rows[1] and not (left >= 0.0 and left >= _length(kept.lists.by, slot)):
+            for d in range(3):
+                along[d] = kept.toward[slot, d] if slot >= 0 else 0.0
+            gap, x, y, z = gap_of_hulls(pools, pair, 0.0, along, scratch)
+            along[0], along[1], along[2] = x, y, z
+            if gap > 0.0:
+                out.bounds[p] = 0.0
+                continue
+        i, j = step.pairs[p, 0], step.pairs[p, 1]
+        if not (motion.time > 0.0 and closing_speed(motion, i, j, 0.0, motion.time) * motion.time > tolerance):
+            reach = tolerance
         most = min(rule.limit, rows[1] - rows[0] + spare)
         is_sampled = pools.fragment.kind[pair.a] == TETRAHEDRA and pools.fragment.kind[pair.b] == TETRAHEDRA
-        its = Wanted(rule.near * radius, moved, min(wanted, most)), most, is_sampled, chosen.along[turn]
+        its = Wanted(tolerance, moved, min(wanted, most)), most, is_sampled, along
         begin, end = wanted * turn, wanted * turn + min(wanted, most)
         sink = Sink(out.found.contacts[begin:end], out.found.ids[begin:end])
         out.counts[p], out.bounds[p] = put_interlocked(
-            surfaces, pair, moves, its, (found.normals, found.gaps, rows), out.stays, sink
-        )
+            (surfaces, kept.lists, slot, left, reach), pair, Moving(i, j, step.rotations, step.positions, motion), its,
+            (found.normals, found.gaps, rows), out.stays, sink,
+        )  # fmt: skip
+
+
+@inlined_kernel
+def _left_of(pools, surfaces, pair, lists, slot):
+    """By how much [m] the motion of a Pair falls short of the reach of its list; -1: it has none."""
+    if slot < 0 or lists.counts[slot] < 0:
+        return -1.0
+    if lists.surfaces[slot, 0] != surfaces.stamps[pair.a] or lists.surfaces[slot, 1] != surfaces.stamps[pair.b]:
+        return -1.0
+    return lists.reach[slot] - BESIDE * displacement(pools, pair, lists.at[slot])
+
+
+@inlined_kernel
+def _length(x, row):
+    return math.sqrt(x[row, 0] * x[row, 0] + x[row, 1] * x[row, 1] + x[row, 2] * x[row, 2])
 
 
 class _Planes(NamedTuple):
@@ -285,14 +326,15 @@ _NOT_PARTED = _Parted(0, np.zeros(3), False)
 def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     """Write contacts that part what overlaps of a Pair to a Sink; marks which of the known ones stay.
 
-    wanted: Wanted, how many contacts the pair may have, whether both are full of samples, a direction (3,), along which
-    the hulls overlap little; known: normals (c, 3), from a to b in the world, and gaps (c,)
-    [m] of all contacts, the pair's rows of these. Returns (contacts, -1: the pair stays as it is; bound [m]).
+    surfaces: Surfaces, CloseTriangles, the pair's slot of these, how far it may move until its list ends [m], and the
+    reach [m] of a new one, 0: none. wanted: Wanted, how many contacts the pair may have, whether both are full of
+    samples, a direction along which the hulls overlap little. known: normals (c, 3), from a to b in the world, and gaps
+    (c,) [m] of all contacts, the pair's rows of these. Returns (contacts, -1: the pair stays as it is; bound [m]).
     """
     wanted, most_contacts, is_sampled, hulls = wanted
-    tolerance = wanted.near
+    (surfaces, lists, slot, left, reach), tolerance = surfaces, wanted.near
     normals, gaps, (begin, end) = known
-    rotation, placings = moving.rotations[moving.j], _placings(moving)
+    rotation = moving.rotations[moving.j]
     found, deepest = end - begin, 0.0
     rows = found + MOST_ADDED
     planes = _Planes(np.empty((rows, 3)), np.empty(rows), np.empty((rows, 3)))
@@ -301,25 +343,44 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
         planes.normals[c] = turned_back(rotation, n[0], n[1], n[2])
         planes.needs[c] = -gaps[begin + c]
         deepest = max(deepest, -gaps[begin + c])
-    given, along = planes.normals[:found].copy(), hulls.copy()
-    for c in range(found):
-        if planes.needs[c] == deepest:
-            along[:] = given[c]
-    # samples that are deep in something thin may be past its middle, and contradict each other
-    x, is_possible = least_translation(given, planes.needs[:found])
-    is_asked = is_possible and deepest <= DEEP * tolerance
+    given, along = planes.normals[:found].copy(), hulls[:3].copy()
+    if found > 0:
+        along[:] = given[np.argmax(planes.needs[:found])]
+    elif not _along(along, along) > 0.0:
+        along[2] = 1.0
+    # where they touch, what parts them may open a gap; rounding might pierce there
+    x, is_asked = np.zeros(3), False
+    for opened in (LEAST * tolerance, 0.0):
+        if opened > 0.0 and (found == 0 or deepest > opened):
+            continue
+        # samples that are deep in something thin may be past its middle, and contradict each other
+        x, is_asked = least_translation(given, planes.needs[:found] + opened)
+        is_asked = is_asked and deepest <= DEEP * tolerance
+        longer = x.copy()
+        _lengthen(longer, SLACK * tolerance)
+        if not is_asked:
+            continue
+        is_listed = left >= 0.0 and left >= _distance(longer, lists.by[slot])
+        if _are_apart(surfaces, pair, longer, along, (lists, slot, is_listed, reach)):
+            return _LEAVE, min(math.sqrt(_along(longer, longer)), wanted.moved)
+        if not is_listed:
+            left = -1.0  # the list is another one
+    if is_sampled and max(deepest, wanted.moved) <= DEEP * tolerance:
+        # pieces nearly in place: how far they have moved says enough, and hardly ever anything parts them
+        return _LEAVE, wanted.moved
+    placings = _placings(moving)
     a = posed_at(_surface_at(surfaces, pair.a), placings[0], 0.0)
     b = posed_at(_surface_at(surfaces, pair.b), placings[1], 0.0)
     boxes = box_around(a.corners), box_around(b.corners)
     size = min(_longest(boxes[0]), _longest(boxes[1]))
+    bound = min(_box_overlap(boxes), wanted.moved)
     # pieces in place interlock: what parts them sideways is no way out
     likely = MOST_TIMES * deepest + MORE * tolerance
     is_shallow = is_sampled and deepest <= DEEP * tolerance
-    most = likely if is_shallow else max(likely, wanted.moved)
+    most = min(likely, bound) if is_shallow else bound
     rules = _Rules(given, along, placings, wanted, boxes, size, most)
     parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
     first = found if parted.is_apart else 0
-    bound = min(_box_overlap(boxes), wanted.moved)
     if is_shallow and not parted.is_apart:
         return _LEAVE, bound
     if not parted.is_apart:
@@ -363,6 +424,26 @@ def _mark_those_across(planes, rows, given, x, found, stays):
         stays[c] = gaps[c] >= -tolerance and -LEAST * tolerance <= gap <= tolerance
         for k in range(rows[0], rows[1]):
             stays[c] = stays[c] and abs(_along(planes.normals[k], n)) < OTHER
+
+
+@kernel
+def _are_apart(surfaces, pair, x, n, kept):
+    """Whether nothing pierces anything where b of a Pair is moved by x (3,) [m]; n: see close_pairs.
+
+    kept: CloseTriangles, the pair's slot, whether its list holds; else the reach [m] of a new one.
+    """
+    lists, slot, is_listed, reach = kept
+    a, b = _surface_at(surfaces, pair.a), _surface_at(surfaces, pair.b)
+    poses = (pair.rotation[0], pair.translation[0]), (np.eye(3), x)
+    if is_listed:
+        return not do_listed_pierce(a, b, poses, lists.pairs[slot, : lists.counts[slot]])
+    if slot < 0 or not reach > 0.0:
+        return not do_pierce(a, b, poses, n, (np.empty((0, 2), np.int32), 0.0))[0]
+    pierces, count = do_pierce(a, b, poses, n, (lists.pairs[slot], reach))
+    lists.counts[slot], lists.by[slot], lists.reach[slot] = count, x, reach
+    lists.surfaces[slot, 0], lists.surfaces[slot, 1] = surfaces.stamps[pair.a], surfaces.stamps[pair.b]
+    keep_pose(pair.rotation, pair.translation, lists.at[slot])
+    return not pierces
 
 
 @kernel
@@ -477,10 +558,9 @@ def _put_points(posed, placings, plane, wanted, size, sink):
         return 0
     # where other directions move b farther along this one, its corners are apart now, and listed all the same
     near = wanted.near + max(-need, 0.0)
-    found = facing_points(posed[0], _shifted(posed[1], x), n, near + along, size)
     deepest = -need - ALIKE * wanted.near  # what is deeper is of other overlaps
-    kept = np.flatnonzero(found.gaps - along >= deepest)
-    now = FacingPoints(found.points[kept], found.gaps[kept] - along, found.features[kept])
+    found = facing_points(posed[0], _shifted(posed[1], x), n, (deepest + along, near + along), size)
+    now = FacingPoints(found.points, found.gaps - along, found.features)
     patch = listed_patch(
         now, placings, (0.0, 0.0), n, 0, Wanted(near, wanted.moved, len(sink.contacts)), size
     )  # fmt: skip
@@ -555,7 +635,8 @@ def _way_out(posed, pairs, overlaps, part, x, rules):
     if not is_through:
         others = tried
         tried = _add_new(ways, tried, toward[0], toward[1], toward[2])
-        a, b = _part_of(a, overlaps.of_a, part), _part_of(b, overlaps.of_b, part)
+        a = _part_of(a, np.flatnonzero(overlaps.of_a == part))
+        b = _part_of(b, np.flatnonzero(overlaps.of_b == part))
         if tried > others:
             # nearly the least, most often: what overlaps more is not looked at closer
             lowest = _along(x, toward) - MOVED * wanted.moved - ONE_PLACE * size
@@ -565,6 +646,8 @@ def _way_out(posed, pairs, overlaps, part, x, rules):
     for k in range(tried):
         lowest = -math.inf if is_through else _along(x, ways[k]) - MOVED * wanted.moved - ONE_PLACE * size
         less = min(least - ALIKE * wanted.near, enough, rules.most - _along(x, ways[k]))
+        if not less > 0.0:
+            continue
         overlap = overlap_along(a, b, ways[k], lowest, less, size)
         if 0.0 < overlap < less:
             best, least = k, overlap
@@ -594,10 +677,9 @@ def _pierced_areas(posed, pairs, of_a, part):
 
 
 @kernel
-def _part_of(posed, of, part):
-    """The Posed surface of the triangles of one overlap."""
-    rows = np.flatnonzero(of == part)
-    row, corner = np.full(len(of), -1, np.int32), np.full(len(posed.corners), -1, np.int32)
+def _part_of(posed, rows):
+    """The Posed surface of some triangles (k,)."""
+    row, corner = np.full(len(posed.triangles), -1, np.int32), np.full(len(posed.corners), -1, np.int32)
     triangles, used = np.empty((len(rows), 3), np.int32), 0
     for k in range(len(rows)):
         row[rows[k]] = k

@@ -149,7 +149,7 @@ def mesh_patch(shapes, rows, hulls, placings, more, wanted, remembered):
     first, last = posed_at(surface_a, placings[0], share), posed_at(surface_b, placings[1], share)
     # where the two are stopped at one place, others may yet meet
     moves = _moves(placings, hulls[0])
-    found = facing_points(first, last, n, tolerance + (1.0 - share + more) * moves, size)
+    found = facing_points(first, last, n, (-math.inf, tolerance + (1.0 - share + more) * moves), size)
     # a point inside is no farther from the surface than both are moved to be apart, or were moved to get there
     overlap = min(max(-parting.now, 0.0), wanted.moved)
     return listed_patch(found, placings, (share, overlap), n, more, wanted, size)

@@ -18,6 +18,7 @@ import numpy as np
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.mesh.connected_pieces import root_of
 from fracture_collision.core.patches.facing_points import axes_along, box_around, seen_along
+from fracture_collision.core.patches.surface import Surface
 from fracture_collision.core.tree.sample_leaves import place_on_curve
 
 _OUTSIDE = -1  # of all overlaps
@@ -43,6 +44,18 @@ def pierced_pairs(a, b, n):
     return pierced_of(a, b, close_pairs(a, b, n, 0.0))
 
 
+class _Side(NamedTuple):
+    """Triangles (k,) of one surface that may meet the other, seen along n."""
+
+    rows: np.ndarray  # (k,) int64
+    boxes: np.ndarray  # (k, 6) float64 [m] least and most
+    blocks: np.ndarray  # (m, 6) float64 [m] boxes around each BLOCK of them
+    flat: np.ndarray  # (k, 13) float64: see _flat; where known
+    is_known: np.ndarray  # (k,) bool
+    surface: Surface
+    pose: tuple[np.ndarray, np.ndarray]  # for flat
+
+
 @kernel
 def close_pairs(a, b, n, reach):
     """Pairs (k, 2) int64 of triangles that may pierce each other where b is moved by up to `reach` [m].
@@ -51,45 +64,181 @@ def close_pairs(a, b, n, reach):
     """
     axes = axes_along(n)
     of_a, of_b = seen_along(a.corners, axes), seen_along(b.corners, axes)
-    low, high, pairs, used, size = np.empty(3), np.empty(3), np.empty((64, 2), np.int64), 0, 0.0
-    box_a, box_b = box_around(of_a), box_around(of_b)
-    for d in range(3):
-        low[d], high[d] = max(box_a[d], box_b[d]), min(box_a[3 + d], box_b[3 + d])
-        size = max(size, abs(low[d]), abs(high[d]))
-    slack = reach + ROUNDING * size
-    for d in range(3):
-        low[d], high[d] = low[d] - slack, high[d] + slack
-        if high[d] < low[d]:
-            return pairs[:0]
-    rows_a, boxes_a = _within(a.triangles, of_a, low, high, slack)
-    rows_b, boxes_b = _within(b.triangles, of_b, low, high, 0.0)
-    flat_a, flat_b = _flat(a, rows_a), _flat(b, rows_b)
-    blocks_a, blocks_b = _blocks(boxes_a), _blocks(boxes_b)
-    near, hits, distances = np.empty(len(blocks_b), np.int64), np.empty(BLOCK, np.int64), np.empty(6)
-    for i in range(len(blocks_a)):
-        many = _meeting(blocks_a, i, blocks_b, 0, near)
-        for t in range(i * BLOCK, min((i + 1) * BLOCK, len(rows_a))):
+    box, slack = _where_both_are(of_a, of_b, reach)
+    unmoved = np.eye(3), np.zeros(3)
+    side_a, side_b = _side_of(a, of_a, unmoved, box, slack), _side_of(b, of_b, unmoved, box, 0.0)
+    pairs, used, distances = np.empty((64, 2), np.int64), 0, np.empty(6)
+    near, hits = np.empty(len(side_b.blocks), np.int64), np.empty(BLOCK, np.int64)
+    for i in range(len(side_a.blocks)):
+        many = _meeting(side_a.blocks, i, side_b.blocks, 0, len(side_b.blocks), near)
+        for t in range(i * BLOCK, min((i + 1) * BLOCK, len(side_a.rows))):
             for k in range(many):
-                if not _meeting(boxes_a, t, blocks_b[near[k] : near[k] + 1], 0, hits):
+                if not _do_meet(side_a.boxes, t, side_b.blocks, near[k]):
                     continue
-                first = near[k] * BLOCK
-                for h in range(_meeting(boxes_a, t, boxes_b[first : first + BLOCK], first, hits)):
+                first, last = near[k] * BLOCK, min((near[k] + 1) * BLOCK, len(side_b.rows))
+                for h in range(_meeting(side_a.boxes, t, side_b.boxes, first, last, hits)):
                     s = hits[h]
-                    if _planes_cut(flat_a, t, flat_b, s, slack, distances):
+                    _know(side_a, t)
+                    _know(side_b, s)
+                    if _planes_cut(side_a.flat, t, side_b.flat, s, slack, distances):
                         if used == len(pairs):
                             pairs = np.vstack((pairs, np.empty_like(pairs)))
-                        pairs[used, 0], pairs[used, 1] = rows_a[t], rows_b[s]
+                        pairs[used, 0], pairs[used, 1] = side_a.rows[t], side_b.rows[s]
                         used += 1
     return pairs[:used]
 
 
+@kernel
+def do_pierce(a, b, poses, n, listed):
+    """Whether two Surfaces have pierced_pairs: quicker, most of all where they have none.
+
+    poses: rotations (3, 3) and positions (3,) [m] of both; n: see close_pairs; listed: rows (k, 2) int32 for all pairs
+    of triangles that may pierce each other where b is moved by up to a reach [m], and that. Returns (whether; number of
+    pairs listed, -1: they pierce each other, or there are more).
+    """
+    axes, (rows, reach), used = axes_along(n), listed, 0
+    turn_a, turn_b = _product(axes, poses[0][0]), _product(axes, poses[1][0])
+    of_a, of_b = seen_along(a.corners, turn_a), seen_along(b.corners, turn_b)
+    _move(of_a, axes, poses[0][1])
+    _move(of_b, axes, poses[1][1])
+    box, slack = _where_both_are(of_a, of_b, reach)
+    side_a, side_b = _side_of(a, of_a, poses[0], box, slack), _side_of(b, of_b, poses[1], box, 0.0)
+    near, distances = np.empty(len(side_b.blocks), np.int64), np.empty(6)
+    for i in range(len(side_a.blocks)):
+        many = _meeting(side_a.blocks, i, side_b.blocks, 0, len(side_b.blocks), near)
+        for t in range(i * BLOCK, min((i + 1) * BLOCK, len(side_a.rows))):
+            for k in range(many):
+                if not _do_meet(side_a.boxes, t, side_b.blocks, near[k]):
+                    continue
+                for s in range(near[k] * BLOCK, min((near[k] + 1) * BLOCK, len(side_b.rows))):
+                    if not _do_meet(side_a.boxes, t, side_b.boxes, s):
+                        continue
+                    _know(side_a, t)
+                    _know(side_b, s)
+                    if not _planes_cut(side_a.flat, t, side_b.flat, s, reach, distances):
+                        continue
+                    if _edges_pierce(side_a.flat, t, side_b.flat, s, distances):
+                        return True, -1
+                    if 0 <= used < len(rows):
+                        rows[used, 0], rows[used, 1] = side_a.rows[t], side_b.rows[s]
+                        used += 1
+                    else:
+                        used = -1
+    return False, used
+
+
+@kernel
+def do_listed_pierce(a, b, poses, rows):
+    """Whether any of pairs (k, 2) of triangles of two Surfaces pierce each other, see do_pierce: to the last bit."""
+    flat, distances = np.empty((2, 13)), np.empty(6)
+    for k in range(len(rows)):
+        _put_flat(a, rows[k, 0], poses[0], flat, 0)
+        _put_flat(b, rows[k, 1], poses[1], flat, 1)
+        if _planes_cut(flat, 0, flat, 1, 0.0, distances) and _edges_pierce(flat, 0, flat, 1, distances):
+            return True
+    return False
+
+
 @inlined_kernel
-def _meeting(own, row, others, first, hits):
-    """Write which of `others` (k, 6), counted from `first`, meet a row of `own` (n, 6); returns their number."""
+def _edges_pierce(a, i, b, j, distances):
+    """Whether an edge of one row of a _flat passes through the other; distances: see _planes_cut."""
+    for side in range(0, 6, 3):
+        x, y, z = distances[side], distances[side + 1], distances[side + 2]
+        if not (min(x, y, z) < 0.0 and max(x, y, z) > 0.0):
+            return False
+    for edge in range(6):  # noqa: SIM110 (numba has no generators in expressions)
+        if _crossing_at(a, i, b, j, edge, distances) >= 0.0:
+            return True
+    return False
+
+
+@kernel
+def _product(a, b):
+    out = np.zeros((3, 3))
+    for d in range(3):
+        for k in range(3):
+            for e in range(3):
+                out[d, e] += a[d, k] * b[k, e]
+    return out
+
+
+@kernel
+def _move(places, axes, by):
+    """Move places (k, 3), seen along axes, by a vector (3,)."""
+    along = np.zeros(3)
+    for d in range(3):
+        along[d] = axes[d, 0] * by[0] + axes[d, 1] * by[1] + axes[d, 2] * by[2]
+    for k in range(len(places)):
+        for d in range(3):
+            places[k, d] += along[d]
+
+
+@kernel
+def _where_both_are(of_a, of_b, reach):
+    """(the box (6,) [m] in which both places (k, 3) have a part, `reach` [m] and the rounding; these)."""
+    box, size = np.empty(6), 0.0
+    box_a, box_b = box_around(of_a), box_around(of_b)
+    for d in range(3):
+        box[d], box[3 + d] = max(box_a[d], box_b[d]), min(box_a[3 + d], box_b[3 + d])
+        size = max(size, abs(box[d]), abs(box[3 + d]))
+    slack = reach + ROUNDING * size
+    for d in range(3):
+        box[d], box[3 + d] = box[d] - slack, box[3 + d] + slack
+    return box, slack
+
+
+@kernel
+def _side_of(surface, places, pose, box, by):
+    """The _Side of the triangles whose boxes, wider by `by` [m], meet a box; places (c, 3) [m]: of corners, as seen."""
+    rows = triangles_within(surface.triangles, places, box, by)
+    boxes = np.empty((len(rows), 6))
+    for k in range(len(rows)):
+        p, q, r = surface.triangles[rows[k], 0], surface.triangles[rows[k], 1], surface.triangles[rows[k], 2]
+        for d in range(3):
+            x, y, z = places[p, d], places[q, d], places[r, d]
+            boxes[k, d], boxes[k, 3 + d] = min(x, y, z) - by, max(x, y, z) + by
+    flat, is_known = np.empty((len(rows), 13)), np.zeros(len(rows), np.bool_)
+    return _Side(rows, boxes, _blocks(boxes), flat, is_known, surface, pose)
+
+
+@inlined_kernel
+def _know(side, k):
+    """Write flat of a triangle, if it is not known: few of those that may meet the other have neighbours that do."""
+    if not side.is_known[k]:
+        side.is_known[k] = True
+        _put_flat(side.surface, side.rows[k], side.pose, side.flat, k)
+
+
+@inlined_kernel
+def _put_flat(surface, t, pose, flat, k):
+    """Write a triangle of a Surface at a pose to row k, see _flat."""
+    turn, place = pose
+    for i in range(3):
+        c = surface.triangles[t, i]
+        x, y, z = surface.corners[c, 0], surface.corners[c, 1], surface.corners[c, 2]
+        for d in range(3):
+            flat[k, 3 * i + d] = turn[d, 0] * x + turn[d, 1] * y + turn[d, 2] * z + place[d]
+    x, y, z = surface.normals[t, 0], surface.normals[t, 1], surface.normals[t, 2]
+    for d in range(3):
+        flat[k, 9 + d] = turn[d, 0] * x + turn[d, 1] * y + turn[d, 2] * z
+    flat[k, 12] = flat[k, 9] * flat[k, 0] + flat[k, 10] * flat[k, 1] + flat[k, 11] * flat[k, 2]
+
+
+@inlined_kernel
+def _do_meet(one, i, other, j):
+    return (
+        (one[i, 0] <= other[j, 3]) & (one[i, 3] >= other[j, 0]) & (one[i, 1] <= other[j, 4])
+        & (one[i, 4] >= other[j, 1]) & (one[i, 2] <= other[j, 5]) & (one[i, 5] >= other[j, 2])
+    )  # fmt: skip
+
+
+@inlined_kernel
+def _meeting(own, row, others, first, last, hits):
+    """Write which rows of `others` (k, 6) between two meet a row of `own` (n, 6); returns their number."""
     x0, y0, z0, x1, y1, z1 = own[row, 0], own[row, 1], own[row, 2], own[row, 3], own[row, 4], own[row, 5]
     count = 0
-    for k in range(len(others)):
-        hits[count] = first + k
+    for k in range(first, last):
+        hits[count] = k
         count += (
             (others[k, 0] <= x1) & (others[k, 3] >= x0) & (others[k, 1] <= y1) & (others[k, 4] >= y0)
             & (others[k, 2] <= z1) & (others[k, 5] >= z0)
@@ -241,24 +390,20 @@ def _join(parent, j, k):
 
 
 @kernel
-def _within(triangles, places, low, high, by):
-    """Triangles (k,) whose boxes meet a box, and their boxes (k, 6) [m], wider by `by` [m]."""
-    beyond = np.zeros(len(places), np.uint8)  # a bit for each side of the box
+def triangles_within(triangles, places, box, by):
+    """Rows (k,) of triangles whose boxes, wider by `by` [m], meet a box (6,)."""
+    beyond = np.empty(len(places), np.uint8)  # a bit for each side of the box
+    x0, y0, z0, x1, y1, z1 = box[0] - by, box[1] - by, box[2] - by, box[3] + by, box[4] + by, box[5] + by
     for c in range(len(places)):
-        for d in range(3):
-            x = places[c, d]
-            beyond[c] |= ((x + by < low[d]) << (2 * d)) | ((x - by > high[d]) << (2 * d + 1))
+        x, y, z = places[c, 0], places[c, 1], places[c, 2]
+        beyond[c] = (
+            (x < x0) | ((x > x1) << 1) | ((y < y0) << 2) | ((y > y1) << 3) | ((z < z0) << 4) | ((z > z1) << 5)
+        )  # fmt: skip
     rows, used = np.empty(len(triangles), np.int64), 0
     for t in range(len(triangles)):
         rows[used] = t
         used += beyond[triangles[t, 0]] & beyond[triangles[t, 1]] & beyond[triangles[t, 2]] == 0
-    boxes = np.empty((used, 6))
-    for k in range(used):
-        p, q, r = triangles[rows[k]]
-        for d in range(3):
-            x, y, z = places[p, d], places[q, d], places[r, d]
-            boxes[k, d], boxes[k, 3 + d] = min(x, y, z) - by, max(x, y, z) + by
-    return rows[:used], boxes
+    return rows[:used]
 
 
 @kernel

@@ -25,6 +25,8 @@ from fracture_collision.core.memory.rotations import to_other
 
 # Capacity of a list: samples, and pairs of ridges (ridge_contacts.py).
 MOST_LISTED, MOST_RIDGES = 256, 256
+# Capacity for pairs of triangles that are close (patches/close_triangles.py).
+MOST_CLOSE = 128
 # The same for the one pair per thread that is searched ahead in time (first_touch.py).
 MOST_AHEAD = 4096
 # Lists are made for pairs that move by less than this share of the smaller R in a step.
@@ -66,6 +68,17 @@ class Listing(NamedTuple):
     shallow: float  # [m] crossings of ridges that get no deeper before samples do are left out
 
 
+class CloseTriangles(NamedTuple):
+    """Pairs of triangles of whole surfaces that alone may pierce each other; a row per slot, see NeighbourLists."""
+
+    counts: np.ndarray  # (room,) int32, or NOT_LISTED
+    at: np.ndarray  # (room, 2, 12) float64: poses, see NeighbourLists, for which they were listed
+    by: np.ndarray  # (room, 3) float64 [m] how far b was moved there, in its frame
+    reach: np.ndarray  # (room,) float64 [m] motion since then for which the list holds
+    surfaces: np.ndarray  # (room, 2) int64: stamps of the surfaces
+    pairs: np.ndarray  # (room, MOST_CLOSE, 2) int32
+
+
 class NeighbourLists(NamedTuple):
     """Columns have one row per slot; a pair keeps its slot as long as its boxes overlap."""
 
@@ -80,6 +93,7 @@ class NeighbourLists(NamedTuple):
     ridges: np.ndarray  # (room,) int32: listed pairs of ridges
     ridge_pairs: np.ndarray  # (room, MOST_RIDGES, 2) int32: their numbers, of a and of b
     toward: np.ndarray  # (room, 3) float64: in b's frame, direction of greatest separation; zeros: unknown
+    close: CloseTriangles
 
 
 def _make_lists(room: int) -> NeighbourLists:
@@ -89,6 +103,10 @@ def _make_lists(room: int) -> NeighbourLists:
         np.full(room, NOT_LISTED, np.int32), np.empty((room, MOST_LISTED, 2), np.int32),
         np.empty((room, MOST_LISTED, PLACE), np.float32), np.zeros(room, np.int32),
         np.empty((room, MOST_RIDGES, 2), np.int32), np.zeros((room, 3)),
+        CloseTriangles(
+            np.full(room, NOT_LISTED, np.int32), np.zeros((room, 2, 12)), np.zeros((room, 3)), np.zeros(room),
+            np.zeros((room, 2), np.int64), np.empty((room, MOST_CLOSE, 2), np.int32),
+        ),
     )  # fmt: skip
 
 
@@ -116,7 +134,7 @@ def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists
         _copy_lists(before, columns)
         before = columns._replace(keys=before.keys, slots=before.slots)
     ordered, ordered_slots, slots, known = _take_slots(
-        before.keys, before.slots, keys, before.counts, before.toward
+        before.keys, before.slots, keys, before.counts, before.toward, before.close.counts
     )
     return before._replace(keys=ordered, slots=ordered_slots), slots, known
 
@@ -127,6 +145,7 @@ def _copy_lists(old, new):
     for slot in range(len(old.counts)):
         new.counts[slot], new.reach[slot], new.toward[slot] = old.counts[slot], old.reach[slot], old.toward[slot]
         new.poses[slot], new.listed_at[slot] = old.poses[slot], old.listed_at[slot]
+        _copy_close(old.close, new.close, slot)
         for k in range(old.counts[slot]):
             new.listed[slot, k], new.places[slot, k] = old.listed[slot, k], old.places[slot, k]
         if old.counts[slot] < 0:
@@ -137,7 +156,15 @@ def _copy_lists(old, new):
 
 
 @kernel
-def _take_slots(known_keys, known_slots, keys, counts, toward):
+def _copy_close(old, new, slot):
+    new.counts[slot], new.reach[slot] = old.counts[slot], old.reach[slot]
+    new.at[slot], new.by[slot], new.surfaces[slot] = old.at[slot], old.by[slot], old.surfaces[slot]
+    for k in range(old.counts[slot]):
+        new.pairs[slot, k] = old.pairs[slot, k]
+
+
+@kernel
+def _take_slots(known_keys, known_slots, keys, counts, toward, close_counts):
     """Assign slots to the pairs of a step: the ones they had, or free ones.
 
     A free slot drops the state of its previous pair. Returns (keys ascending, their slots, slots (p,) of `keys`,
@@ -163,7 +190,7 @@ def _take_slots(known_keys, known_slots, keys, counts, toward):
             while is_taken[free]:
                 free += 1
             slots[k] = free
-            counts[free], toward[free] = NOT_LISTED, 0.0
+            counts[free], toward[free], close_counts[free] = NOT_LISTED, 0.0, NOT_LISTED
             free += 1
     return keys[order], slots[order], slots, known
 
