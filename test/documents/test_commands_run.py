@@ -42,6 +42,7 @@ RUN = (
     "python examples/break_a_mesh.py part.stl",
     "python -m fracture_collision.simulation.scene.scene_reference",
     "python -m lint.portable_arithmetic",
+    "python -m benchmarks.scene_seeds pane --seeds 1",
     "python -m fracture_collision.ros.runs.security_files security [--namespace /cell] [--domain 0] [--encrypt]",
 )
 RUN_UNTIL_INTERRUPTED = (
@@ -76,6 +77,7 @@ NOT_RUN = {
     r"python -m campaigns\.late_floor": "is a campaign",
     r"python -m benchmarks\.elementary( --engines ours,rapier,mujoco)?": "its scenes are those of test_elementary",
     r"python -m benchmarks\.random_pairs": "its kinds of pairs are those of test_random_pairs",
+    r"python -m benchmarks\.scene_seeds( --csv docs/scene_seeds\.csv)?": "takes a quarter of an hour: one scene is run",
     r"python -m benchmarks\.random_drops": "takes half an hour: test_random_pairs runs some",
 }  # fmt: skip
 
