@@ -13,8 +13,8 @@ more, and the next translation satisfies them, too: so the directions of all ove
 
 from __future__ import annotations
 
+import itertools
 import math
-from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -92,6 +92,8 @@ BESIDE = 1.1
 # One direction for the whole surfaces is taken if they overlap along it by no more than this times the deepest contact
 # and so many tolerances.
 MOST_TIMES, MORE = 3.0, 2.0
+# Pieces that have moved no farther than so many tolerances since they broke may still interlock.
+IN_PLACE_YET = 25.0
 # Contacts across those added, by the cosine, and no deeper than the tolerance, stay where samples are not asked.
 OTHER = 0.5
 # Who wants more contacts of a pair wants all that were found.
@@ -117,7 +119,7 @@ class Surfaces(NamedTuple):
     all: Surface
 
 
-_STAMPS = count(1)
+_STAMPS = itertools.count(1)
 
 
 class SurfaceTable:
@@ -332,39 +334,19 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     (c,) [m] of all contacts, the pair's rows of these. Returns (contacts, -1: the pair stays as it is; bound [m]).
     """
     wanted, most_contacts, is_sampled, hulls = wanted
-    (surfaces, lists, slot, left, reach), tolerance = surfaces, wanted.near
+    kept, surfaces, tolerance = surfaces, surfaces[0], wanted.near
     normals, gaps, (begin, end) = known
-    rotation = moving.rotations[moving.j]
-    found, deepest = end - begin, 0.0
-    rows = found + MOST_ADDED
-    planes = _Planes(np.empty((rows, 3)), np.empty(rows), np.empty((rows, 3)))
-    for c in range(found):
-        n = normals[begin + c]
-        planes.normals[c] = turned_back(rotation, n[0], n[1], n[2])
-        planes.needs[c] = -gaps[begin + c]
-        deepest = max(deepest, -gaps[begin + c])
+    found = end - begin
+    planes = _planes_of(normals[begin:end], gaps[begin:end], moving.rotations[moving.j])
+    deepest = max(planes.needs[:found].max(), 0.0) if found > 0 else 0.0
     given, along = planes.normals[:found].copy(), hulls[:3].copy()
     if found > 0:
         along[:] = given[np.argmax(planes.needs[:found])]
     elif not _along(along, along) > 0.0:
         along[2] = 1.0
-    # where they touch, what parts them may open a gap; rounding might pierce there
-    x, is_asked = np.zeros(3), False
-    for opened in (LEAST * tolerance, 0.0):
-        if opened > 0.0 and (found == 0 or deepest > opened):
-            continue
-        # samples that are deep in something thin may be past its middle, and contradict each other
-        x, is_asked = least_translation(given, planes.needs[:found] + opened)
-        is_asked = is_asked and deepest <= DEEP * tolerance
-        longer = x.copy()
-        _lengthen(longer, SLACK * tolerance)
-        if not is_asked:
-            continue
-        is_listed = left >= 0.0 and left >= _distance(longer, lists.by[slot])
-        if _are_apart(surfaces, pair, longer, along, (lists, slot, is_listed, reach)):
-            return _LEAVE, min(math.sqrt(_along(longer, longer)), wanted.moved)
-        if not is_listed:
-            left = -1.0  # the list is another one
+    is_asked, is_apart, x = _try_contacts(kept, pair, (given, planes.needs[:found], deepest), tolerance, along)
+    if is_apart:
+        return _LEAVE, min(math.sqrt(_along(x, x)), wanted.moved)
     if is_sampled and max(deepest, wanted.moved) <= DEEP * tolerance:
         # pieces nearly in place: how far they have moved says enough, and hardly ever anything parts them
         return _LEAVE, wanted.moved
@@ -374,10 +356,10 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     boxes = box_around(a.corners), box_around(b.corners)
     size = min(_longest(boxes[0]), _longest(boxes[1]))
     bound = min(_box_overlap(boxes), wanted.moved)
-    # pieces in place interlock: what parts them sideways is no way out
     likely = MOST_TIMES * deepest + MORE * tolerance
-    is_shallow = is_sampled and deepest <= DEEP * tolerance
-    most = min(likely, bound) if is_shallow else bound
+    # pieces in place interlock: what parts them sideways is no way out
+    is_shallow = is_sampled and deepest <= DEEP * tolerance and wanted.moved <= IN_PLACE_YET * tolerance
+    most = min(likely, wanted.moved) if is_shallow else wanted.moved
     rules = _Rules(given, along, placings, wanted, boxes, size, most)
     parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
     first = found if parted.is_apart else 0
@@ -424,6 +406,44 @@ def _mark_those_across(planes, rows, given, x, found, stays):
         stays[c] = gaps[c] >= -tolerance and -LEAST * tolerance <= gap <= tolerance
         for k in range(rows[0], rows[1]):
             stays[c] = stays[c] and abs(_along(planes.normals[k], n)) < OTHER
+
+
+@kernel
+def _planes_of(normals, gaps, rotation):
+    """The _Planes of contacts with normals (c, 3), in the world, and gaps (c,) [m]; rotation: b's, to the world."""
+    found, rows = len(gaps), len(gaps) + MOST_ADDED
+    planes = _Planes(np.empty((rows, 3)), np.empty(rows), np.empty((rows, 3)))
+    for c in range(found):
+        planes.normals[c] = turned_back(rotation, normals[c, 0], normals[c, 1], normals[c, 2])
+        planes.needs[c] = -gaps[c]
+    return planes
+
+
+@kernel
+def _try_contacts(kept, pair, known, tolerance, n):
+    """(whether contacts are asked, whether what satisfies them parts a Pair, this translation of b (3,) [m]).
+
+    kept: see put_interlocked; known: directions of the contacts (c, 3), needs (c,) [m], the deepest [m]; n: see
+    close_pairs. Where they touch, gaps are opened: rounding might pierce there.
+    """
+    (surfaces, lists, slot, left, reach), (given, needs, deepest) = kept, known
+    x, is_asked = np.zeros(3), False
+    for opened in (LEAST * tolerance, 0.0):
+        if opened > 0.0 and (len(needs) == 0 or deepest > opened):
+            continue
+        # samples that are deep in something thin may be past its middle, and contradict each other
+        x, is_possible = least_translation(given, needs + opened)
+        is_asked = is_possible and deepest <= DEEP * tolerance
+        if not is_asked:
+            continue
+        longer = x.copy()
+        _lengthen(longer, SLACK * tolerance)
+        is_listed = left >= 0.0 and left >= _distance(longer, lists.by[slot])
+        if _are_apart(surfaces, pair, longer, n, (lists, slot, is_listed, reach)):
+            return True, True, longer
+        if not is_listed:
+            left = -1.0  # the list is another one
+    return is_asked, False, x
 
 
 @kernel

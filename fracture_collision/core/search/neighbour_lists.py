@@ -9,6 +9,9 @@ a search takes some samples and leaves some, depending on its order of visits.
 
 Clearance: where a search found the pair separated, by its boxes or a plane, its list is empty and holds until the two
 have moved by their clearance.
+
+Close triangles: where whole surfaces were found not to pierce each other, the pairs of triangles that may do so after a
+motion within a reach are listed, and only these are looked at until the two have moved so far.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from fracture_collision.core.memory.rotations import to_other
 
 # Capacity of a list: samples, and pairs of ridges (ridge_contacts.py).
 MOST_LISTED, MOST_RIDGES = 256, 256
-# Capacity for pairs of triangles that are close (patches/close_triangles.py).
+# Capacity for pairs of triangles that are close (patches/piercing.py).
 MOST_CLOSE = 128
 # The same for the one pair per thread that is searched ahead in time (first_touch.py).
 MOST_AHEAD = 4096
