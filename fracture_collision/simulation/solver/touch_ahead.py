@@ -5,8 +5,9 @@ touch before the step ends. Such a contact gets no impulse across the gap: it do
 two bodies move for the part of the step before the touch, keep their velocities, and meet in the next step as they
 would have met at its beginning. They lose time, less than a step.
 
-The solved velocities keep touching bodies apart along straight lines. The points of a body that turns far in a step
-move along arcs: it is held back likewise, before one of its contacts deepens by `ahead_gap`.
+The solved velocities keep touching bodies apart along straight lines, as long as both move. A body is held back before
+it runs into one that it touches and that waits. The points of a body that turns far in a step move along arcs: it is
+held back likewise, before one of its contacts deepens by `ahead_gap`.
 
 The service looks ahead with the velocities before a blow. After the blow, bodies move where no contact was searched.
 In that step, no point of two touching bodies deviates from its searched path by more than a fifth of the thinner
@@ -148,6 +149,9 @@ def held_back(
         # What cannot move may be smaller than what touches it.
         spare_of_pairs = np.minimum(spare_of_pairs, MOST_SPARE * near)
         shares = _shares_as_searched(pairs, moves - searched, reach, spare_of_pairs, gravity, time_step)
+        if ahead is not None or goes_round.any() or shares.min(initial=1.0) < 1.0:
+            # Two that touch are kept apart while both move: one that moves on alone would run into the other.
+            goes_round = goes_round | ((pairs.body_a < count) & (pairs.body_b < count))
     touching = _touching(now, pairs, goes_round, settings, DEEPER if searched is not None else 1.0)
     if ahead is None and touching is None and searched is None:
         return HeldBack(velocities, drift, shares)
