@@ -43,15 +43,18 @@ from fracture_collision.simulation.solver.breaking_impacts import hardest_hit, s
 from fracture_collision.simulation.solver.contact_memory import with_remembered
 from fracture_collision.simulation.solver.contact_solver import (
     NO_WARM_START,
+    Again,
     BodyPairs,
     RigidBodies,
     Solution,
     bounce_speeds,
+    kinetic_energies,
     kinetic_energy,
-    normal_impulse_sums,
+    solve_contacts,
+    sums_of_bodies,
 )
 from fracture_collision.simulation.solver.rest_gaps import rest_gaps_of
-from fracture_collision.simulation.solver.touch_ahead import StepContacts, held_back, split_by_gap
+from fracture_collision.simulation.solver.touch_ahead import Course, StepContacts, shares_of_step, split_by_gap
 from fracture_collision.simulation.step_records import StepReport, StepRequest, fragment_states
 
 
@@ -59,8 +62,10 @@ class _Solved(NamedTuple):
     """The solved contacts of a step, before the bodies move."""
 
     contacts: StepContacts
+    bodies: RigidBodies  # with gravity for the time in which they move if nothing holds them back
     searched: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
     solution: Solution
+    limits: np.ndarray  # (N,) [N s] of the contacts' impulses: what materials bear
     flight: np.ndarray  # (n, 6) drift of bodies in free flight
     overloaded: np.ndarray  # rows of the bodies that break
     deepest_gap: float  # [m]
@@ -176,13 +181,12 @@ class Simulation:
         states = self._engine.states()
         started = time.perf_counter()
         solved = self._solve(states, contacts, requested)
+        lifted = self._move(states, solved)
         solver_seconds = time.perf_counter() - started
-        self._move(states, solved)
         self._step += 1
 
-        moved, solution = self._engine.states(), solved.solution
+        moved = self._engine.states()
         energy = kinetic_energy(moved.masses, moved.inertias, _velocities(moved))
-        lifted = -float((moved.masses * dots(solution.drift[:, :3], self._scene.gravity)).sum()) * self._scene.time_step
         started = time.perf_counter()
         self._break_overloaded(states, moved, solved)
         return StepReport(
@@ -238,48 +242,67 @@ class Simulation:
         if self.arm is not None:
             contacts = self.arm.without_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))
-        settings, time_step = self._scene.solver, self._scene.time_step
-        traits = self._traits(states)
+        settings, traits = self._scene.solver, self._traits(states)
         shared = shared_traits(contacts, traits, self._cast)
         contacts, ahead = split_by_gap(contacts, shared.sizes, settings.ahead_gap)
+        pairs_ahead = None
         if ahead is not None:
+            shared = shared_traits(ahead, traits, self._cast)
+            counts: np.ndarray = np.diff(ahead.pair_begin.astype(np.int64))
+            pairs_ahead = self._body_pairs(shared, np.repeat(settings.rest_gap * shared.sizes, counts))
             shared = shared_traits(contacts, traits, self._cast)
         touched = self._memory.fragment_a, self._memory.fragment_b
         reach = settings.memory_reach * shared.sizes
         contacts, self._memory = with_remembered(contacts, requested, self._memory, reach)
-        pairs = self._body_pairs(shared)
+        gaps = rest_gaps_of(self._memory, shared.is_one_body, settings.rest_gap * shared.sizes)
+        pairs = self._body_pairs(shared, gaps)
         searched = _velocities(self._to_search(states)) if self._looks_ahead else None
         if self._planned is None:
             pushes = self._pushes(states)
         else:
             pushes = Pushes(self._planned.pushes.of(states.fragment_ids), self._planned.energy)
         self._planned = None
-        bodies = self._rigid_bodies(states, pushes.velocities)
         rest = sleep.roused(self._rest, states.fragment_ids, touched, np.any(pushes.velocities, axis=1))
         self._rest = sleep.settled(rest, self._memory.pair_begin, pairs.body_a, pairs.body_b, settings.sleep_time)
-        solution, overloaded = solve_with_strengths(
-            bodies, contacts, pairs, self._warm_start, settings, time_step, traits.strengths,
-            self._rest.asleep,
-        )  # fmt: skip
-        self._warm_start = solution.warm_start
-        is_pressed = normal_impulse_sums(solution, contacts, pairs, len(bodies.masses)) > 0.0
-        flight = self._flight(bodies, ~(self._rest.asleep | is_pressed | np.any(pushes.velocities, axis=1)))
+        bodies = self._rigid_bodies(states, pushes.velocities)
+        solution, overloaded, limits = solve_with_strengths(
+            bodies, contacts, pairs, self._warm_start, settings, traits.strengths
+        )
+        flight = self._flight(bodies, contacts, pairs, solution, self._rest.asleep | np.any(pushes.velocities, axis=1))
         if self._looks_ahead:
             self._taken = Changes(states.fragment_ids, solution.velocities - bodies.free_velocities)
         return _Solved(
-            StepContacts(contacts, pairs, ahead), searched, solution, flight, overloaded, deepest_gap, pushes.energy
-        )
-
-    def _move(self, states: BodyStates, solved: _Solved) -> None:
-        settings, time_step, forms = self._scene.solver, self._scene.time_step, self._traits(states).forms
-        v, drift, self.shares = held_back(
-            states, solved.contacts, solved.searched, forms,
-            solved.solution._replace(drift=solved.solution.drift + solved.flight), self._scene.gravity, settings,
-            time_step,
+            StepContacts(contacts, pairs, ahead, pairs_ahead), bodies, searched, solution, limits, flight, overloaded,
+            deepest_gap, pushes.energy,
         )  # fmt: skip
+
+    def _move(self, states: BodyStates, solved: _Solved) -> float:
+        """Move the bodies as far as they may; returns the energy [J] that drift correction adds in lifting them."""
+        gravity, settings, time_step = self._scene.gravity, self._scene.solver, self._scene.time_step
+        (bodies, solution), forms = (solved.bodies, solved.solution), self._traits(states).forms
+        moves = solution.velocities + solution.drift + solved.flight
+        course = Course(moves, solved.searched, (bodies.free_velocities - bodies.velocities)[:, :3])
+        self.shares = shares_of_step(states, solved.contacts, course, forms, settings, time_step)
+        moved = self.shares * bodies.spans
+        if (self.shares < 1.0).any():
+            solution = self._solved_until(moved, solved)
+        self._warm_start, v = solution.warm_start, solution.velocities
+        drift = self.shares[:, None] * moves - v
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
-        farthest = sleep.farthest_at_rest(settings, forms.sizes[:-1], self._scene.gravity)
+        farthest = sleep.farthest_at_rest(settings, forms.sizes[:-1], gravity)
         self._rest = sleep.after_step(self._rest, states.masses, states.inertias, v + drift, farthest, time_step)
+        return -float((states.masses * moved * dots(solved.solution.drift[:, :3], gravity)).sum())
+
+    def _solved_until(self, moved: np.ndarray, solved: _Solved) -> Solution:
+        """The solution with gravity for the times `moved` (n,) [s] only: bodies that waited gain no energy by it."""
+        bodies, held = solved.bodies, moved < solved.bodies.spans
+        free = free_velocities(bodies.velocities, bodies.inertias, self._scene.gravity, moved)
+        alone = np.where(held[:, None], free, solved.solution.velocities)
+        again = Again(held, solved.limits, solved.solution._replace(velocities=alone))
+        return solve_contacts(
+            bodies._replace(free_velocities=free), solved.contacts.now, solved.contacts.pairs,
+            solved.solution.warm_start, self._scene.solver, again,
+        )  # fmt: skip
 
     def _break_overloaded(self, states: BodyStates, moved: BodyStates, solved: _Solved) -> None:
         """Break the overloaded fragments, those of `states` before the step; `moved`: after it."""
@@ -309,36 +332,57 @@ class Simulation:
         shard by a radian, and gravity, by which a body at rest beside a seam would fall into it. Bodies asleep do not
         fall.
         """
-        velocities = _velocities(states)
+        velocities, spans = _velocities(states), self._spans(states)
         if self._planned is not None:
             velocities = velocities + self._planned.expected.of(states.fragment_ids)
-        free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
+        free = free_velocities(velocities, states.inertias, self._scene.gravity, spans)
         asleep = np.isin(states.fragment_ids, self._rest.fragment_ids[self._rest.asleep])
         linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
-        angular = mean_spins(velocities[:, 3:], free[:, 3:], states.inertias, self._scene.time_step)
+        angular = mean_spins(velocities[:, 3:], free[:, 3:], states.inertias, spans)
         return states._replace(linear=linear, angular=angular)
 
     def _falling(self, frame: FrameState) -> FrameState:
         """The frame with the velocity that it will have: as _to_search, without the torque that needs its inertia."""
         return frame._replace(linear_velocity=frame.linear_velocity + self._scene.time_step * self._scene.gravity)
 
+    def _spans(self, states: BodyStates) -> np.ndarray:
+        """(n,) [s] for which bodies move in this step, if nothing holds them back."""
+        return np.full(len(states.masses), self._scene.time_step)
+
     def _rigid_bodies(self, states: BodyStates, pushes: np.ndarray) -> RigidBodies:
-        velocities = _velocities(states) + pushes
-        free = free_velocities(velocities, states.inertias, self._scene.gravity, self._scene.time_step)
-        return RigidBodies(states.masses, states.inertias, states.centers, velocities, free)
+        velocities, spans = _velocities(states) + pushes, self._spans(states)
+        free = free_velocities(velocities, states.inertias, self._scene.gravity, spans)
+        masses, inertias = states.masses, states.inertias
+        return RigidBodies(masses, inertias, states.centers, velocities, free, spans, self._rest.asleep)
 
-    def _flight(self, bodies: RigidBodies, flies: np.ndarray) -> np.ndarray:
-        """Drift (n, 6) by which the poses of bodies in free flight follow the parabola, and keep angular momentum."""
-        before, free, h = bodies.velocities, bodies.free_velocities, self._scene.time_step
-        turned = mean_spins(before[:, 3:], free[:, 3:], bodies.inertias, h) - free[:, 3:]
-        fallen = np.broadcast_to(-0.5 * h * self._scene.gravity, turned.shape)
-        return np.where(flies[:, None], np.hstack((fallen, turned)), 0.0)
+    def _flight(
+        self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, solution: Solution,
+        is_other: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
+        """Drift (n, 6) by which the poses of bodies in free flight follow the parabola, and keep angular momentum.
 
-    def _body_pairs(self, shared: SharedTraits) -> BodyPairs:
-        settings = self._scene.solver
-        bounces = bounce_speeds(settings, shared.sizes, self._scene.gravity)
-        gaps = rest_gaps_of(self._memory, shared.is_one_body, settings.rest_gap * shared.sizes)
-        return BodyPairs(shared.body_a, shared.body_b, shared.rolling_arm, shared.sizes, bounces, gaps)
+        So do those that only bounce off, as far as they lost enough energy. is_other (n,) bool: are not in free flight.
+        """
+        before, free, spans, gravity = bodies.velocities, bodies.free_velocities, bodies.spans, self._scene.gravity
+        hit, pressed = (
+            sums_of_bodies(impulses, contacts, pairs, len(spans)) > 0.0
+            for impulses in (solution.normal_impulses, solution.pressing)
+        )
+        turned = mean_spins(before[:, 3:], free[:, 3:], bodies.inertias, spans) - free[:, 3:]
+        fallen = -0.5 * spans[:, None] * gravity
+        work = 0.5 * bodies.masses * spans * spans * float((gravity * gravity).sum())  # [J] by which they rise
+        if hit.any() and work.any():
+            had, have = (
+                kinetic_energies(bodies.masses, bodies.inertias, u) for u in (before, solution.velocities)
+            )
+            lost = had - have + bodies.masses * spans * dots(solution.velocities[:, :3], gravity)
+            fallen[hit] *= np.clip(lost / work, 0.0, 1.0)[hit, None]
+        turned[hit] = 0.0
+        return np.where((is_other | pressed)[:, None], 0.0, np.hstack((fallen, turned)))
+
+    def _body_pairs(self, shared: SharedTraits, rest_gaps: np.ndarray) -> BodyPairs:
+        bounces = bounce_speeds(self._scene.solver, shared.sizes, self._scene.gravity)
+        return BodyPairs(shared.body_a, shared.body_b, shared.rolling_arm, shared.sizes, bounces, rest_gaps)
 
     def _traits(self, states: BodyStates) -> Traits:
         if self._known_traits is None or not np.array_equal(self._known_traits.fragment_ids, states.fragment_ids):

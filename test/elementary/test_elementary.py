@@ -31,3 +31,8 @@ def test_it_does_so_with_triangles_and_off_the_axes(name: str, setting: Setting)
 @pytest.mark.parametrize("step", [0.001, 0.01])
 def test_a_slide_over_seams_loses_nothing_at_other_steps(name: str, step: float) -> None:
     assert not faults(name, Setting("box", step=step))
+
+
+def test_a_coin_gains_no_energy_at_long_steps() -> None:
+    """It waits at each touch of its rim, for the rest of a step of 10 ms in which its weight does no work."""
+    assert not faults("coin", Setting("box", step=0.01))

@@ -60,7 +60,7 @@ def test_the_spin_of_a_body_that_hardly_turns_is_a_number(spin: float) -> None:
     """Squares of squares of it are not."""
     before = np.array([[spin, 2.0 * spin, -spin]])
     after = before * 1.001
-    found = mean_spins(before, after, np.diag([1e-3, 2e-3, 3e-3])[None], STEP)
+    found = mean_spins(before, after, np.diag([1e-3, 2e-3, 3e-3])[None], np.full(1, STEP))
     np.testing.assert_allclose(found, before, rtol=0.01, atol=1e-12)  # [rad/s] rounding of the turn
 
 
@@ -77,7 +77,7 @@ def test_a_free_tumbling_body_keeps_its_energy_and_flies_its_parabola(world):
     for _ in range(steps):
         states = engine.states()
         velocities = np.hstack((states.linear, states.angular))
-        free = free_velocities(velocities, states.inertias, gravity, STEP)
+        free = free_velocities(velocities, states.inertias, gravity, np.full(1, STEP))
         engine.advance(free[:, :3], free[:, 3:], still, still)
     end = engine.states()
     energy = kinetic_energy(end.masses, end.inertias, np.hstack((0 * end.linear, end.angular)))
@@ -98,7 +98,7 @@ def test_a_body_that_rotates_many_times_in_a_step_gains_no_energy(spin):
     inertias = np.repeat(np.diag([1e-5, 2e-5, 2.9e-5])[None], 200, axis=0)
     velocities = np.zeros((200, 6))
     velocities[:, 3:] = spin * rng.normal(size=(200, 3))
-    free = free_velocities(velocities, inertias, np.zeros(3), 0.01)
+    free = free_velocities(velocities, inertias, np.zeros(3), np.full(200, 0.01))
     masses = np.ones(1)
     for before, after in zip(velocities, free, strict=True):
         energies = [kinetic_energy(masses, inertias[:1], u[None]) for u in (before, after)]

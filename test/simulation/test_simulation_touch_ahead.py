@@ -45,7 +45,8 @@ def test_contacts_are_split_by_their_gaps() -> None:
     assert now.gaps.tolist() == [-1e-3, 1e-4, 0.3, 0.0] and now.contact_ids.tolist() == [0, 2, 3, 4]
     assert now.fragment_b.tolist() == [2, 3, 4, 5] and now.pair_begin.tolist() == [0, 2, 3, 3, 4]
     assert len(now.points_b) == 12 and len(now.missed_depth_bound) == 4
-    assert ahead.fragment_b.tolist() == [2] and ahead.points_b[:, 0].tolist() == [0.2] and ahead.sizes.tolist() == [0.1]
+    assert ahead.fragment_b.tolist() == [2] and ahead.points_b.tolist() == [0.2, 0.0, 0.0] and ahead.gaps == [0.2]
+    assert ahead.pair_begin.tolist() == [0, 1] and ahead.contact_ids.tolist() == [1]
     same, none = split_by_gap(now, sizes, 0.005)
     assert none is None and same is now
 

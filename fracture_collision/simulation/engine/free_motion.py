@@ -32,37 +32,37 @@ NEARLY = 1.0e-12
 
 
 @cached_njit
-def free_velocities(velocities, inertias, gravity, time_step):
-    """(n, 6) v [m/s] and w [rad/s] one `time_step` [s] on, under `gravity` (3,) [m/s2]; inertias (n, 3, 3) [kg m2]."""
+def free_velocities(velocities, inertias, gravity, spans):
+    """(n, 6) v [m/s] and w [rad/s] `spans` (n,) [s] on, under `gravity` (3,) [m/s2]; inertias (n, 3, 3) [kg m2]."""
     result = velocities.copy()
     for i in range(len(velocities)):
         for k in range(3):
-            result[i, k] += time_step * gravity[k]
+            result[i, k] += spans[i] * gravity[k]
         spin = _spin_after(
-            (velocities[i, 3], velocities[i, 4], velocities[i, 5]), _columns(inertias[i]), time_step
+            (velocities[i, 3], velocities[i, 4], velocities[i, 5]), _columns(inertias[i]), spans[i]
         )
         result[i, 3], result[i, 4], result[i, 5] = spin
     return result
 
 
-def mean_spins(before: np.ndarray, after: np.ndarray, inertias: np.ndarray, time_step: float) -> np.ndarray:
-    """Constant spins (n, 3) [rad/s] that turn free bodies as their step does: angular momentum keeps its direction.
+def mean_spins(before: np.ndarray, after: np.ndarray, inertias: np.ndarray, spans: np.ndarray) -> np.ndarray:
+    """Constant spins (n, 3) [rad/s] that turn free bodies within `spans` (n,) [s] so that momentum keeps its direction.
 
     before, after (n, 3) [rad/s]: their spins, see free_velocities. It is the mean of both, corrected by the least turn
     that brings the momentum after the step to that before.
     """
     middle = 0.5 * (before + after)
-    turns = turns_of(middle, time_step)
+    turns = turns_of(spans[:, None] * middle, 1.0)
     momentum, moved = turned(inertias, before), turned(rotation_matrices(turns), turned(inertias, after))
     size = lengths(momentum) * lengths(moved)
     align = np.column_stack((crossed(moved, momentum), dots(moved, momentum) + size))
     align[~((align[:, 3] > 0.5 * size) & (size > STILL))] = 0.0, 0.0, 0.0, 1.0
     align /= lengths(align)[:, None]
     vectors = rotation_vectors(quaternion_products(align, turns))
-    angles, along = lengths(vectors), time_step * dots(vectors, middle)
+    angles, along = lengths(vectors), spans * dots(vectors, middle)
     safe = np.where(angles > 0.0, angles, 1.0)
     rounds = np.where(angles > 0.0, np.round((along / safe - angles) / (2.0 * np.pi)), 0.0)
-    spins = vectors * ((1.0 + 2.0 * np.pi * rounds / safe) / time_step)[:, None]
+    spins = vectors * ((1.0 + 2.0 * np.pi * rounds / safe) / spans)[:, None]
     return np.where((before == after).all(axis=1)[:, None], after, spins)
 
 

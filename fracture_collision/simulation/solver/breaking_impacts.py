@@ -12,39 +12,45 @@ import numpy as np
 
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.solver.contact_solver import (
+    Again,
     BodyPairs,
-    Caps,
     RigidBodies,
     Solution,
     SolverSettings,
     WarmStart,
-    normal_impulse_sums,
     solve_contacts,
+    sums_of_bodies,
 )
 
 
 def solve_with_strengths(
     bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, warm_start: WarmStart,
-    settings: SolverSettings, time_step: float, strengths: np.ndarray, asleep: np.ndarray,
-) -> tuple[Solution, np.ndarray]:  # fmt: skip
-    """Solution, and the rows of the bodies that break. `strengths` (n,) [N s] of the bodies, `asleep` (n,)."""
-    solution = solve_contacts(bodies, contacts, pairs, warm_start, settings, time_step, asleep=asleep)
-    count = len(bodies.masses)
-    loads = normal_impulse_sums(solution, contacts, pairs, count)
+    settings: SolverSettings, strengths: np.ndarray,
+) -> tuple[Solution, np.ndarray, np.ndarray]:  # fmt: skip
+    """Solution, the rows of the bodies that break, and limits (N,) [N s] of the impulses of contacts, inf: none.
+
+    strengths (n,) [N s] of the bodies.
+    """
+    solution = solve_contacts(bodies, contacts, pairs, warm_start, settings)
+    count, limits = len(bodies.masses), np.full(len(contacts.gaps), np.inf)
+    loads = sums_of_bodies(solution.normal_impulses, contacts, pairs, count)
     overloaded = np.flatnonzero(loads > strengths)
     if len(overloaded):
         share = np.ones(count + 1)
         share[overloaded] = strengths[overloaded] / loads[overloaded]
         counts: np.ndarray = np.diff(contacts.pair_begin)
         share = np.repeat(np.minimum(share[pairs.body_a], share[pairs.body_b]), counts)
-        caps = Caps(np.where(share < 1.0, share * solution.normal_impulses, np.inf), solution)
-        capped = solve_contacts(bodies, contacts, pairs, solution.warm_start, settings, time_step, caps, asleep)
+        limits = np.where(share < 1.0, share * solution.normal_impulses, np.inf)
+        breaks = loads > strengths
+        capped = solve_contacts(
+            bodies, contacts, pairs, solution.warm_start, settings, Again(breaks, limits, solution)
+        )
         # No body enters a fragment before it has broken: in this step poses move as if it held. And the impact
         # point follows from the uncapped impulses that broke it.
         solution = capped._replace(
             drift=solution.drift + solution.velocities - capped.velocities, normal_impulses=solution.normal_impulses
         )
-    return solution, overloaded
+    return solution, overloaded, limits
 
 
 def hardest_hit(

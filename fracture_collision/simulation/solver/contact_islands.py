@@ -34,6 +34,8 @@ class Bodies(NamedTuple):
     centers: np.ndarray  # (n, 3) [m]
     velocities: np.ndarray  # (n, 6) u(t)
     free_velocities: np.ndarray  # (n, 6) u*
+    spans: np.ndarray  # (n,) h [s]
+    asleep: np.ndarray  # (n,) bool
 
 
 class Contacts(NamedTuple):
@@ -69,8 +71,17 @@ class Result(NamedTuple):
     velocities: np.ndarray  # (n, 6) u(t + h)
     drift: np.ndarray  # (n, 6) u_d
     normal_impulses: np.ndarray  # (N,) lambda [N s]
+    pressing: np.ndarray  # (N,) without those of impacts
     impulses: np.ndarray  # (N, 3) on b, world axes; on input those of the last step
     rolling: np.ndarray  # (p, 3) likewise
+
+
+class Kept(NamedTuple):
+    """Impulses of an island's N contacts and p pairs."""
+
+    impulses: np.ndarray  # (N, 3) along n, t1, t2 [N s]
+    rolling: np.ndarray  # (p, 3) [N m s]
+    pressing: np.ndarray  # (N,)
 
 
 @cached_njit
@@ -112,20 +123,19 @@ def islands_of(begin, body_a, body_b, count):
 
 
 @cached_njit
-def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, asleep, result):
+def solve_islands(islands, bodies, contacts, settings, again, result):
     """Solve one step of all bodies in contact into `result`, which holds u* and no drift for all others.
 
-    With `only_limited`, solve only islands with a limited impulse: `result` already holds the others, and every drift,
-    since drift correction is not limited by what bodies bear. asleep (n,): bodies of islands that stay in place.
+    again (n,): solve only islands with such a body; `result` already holds the others, and every drift. Empty: all.
     """
     local = np.empty(bodies.masses.size, np.int64)
     for i in range(islands.pair_begin.size - 1):
         members = islands.bodies[islands.body_begin[i] : islands.body_begin[i + 1]]
         pairs = islands.pairs[islands.pair_begin[i] : islands.pair_begin[i + 1]]
-        if asleep[members[0]]:
+        if bodies.asleep[members[0]]:
             result.velocities[members] = 0.0
             continue
-        if only_limited and not _is_limited(pairs, contacts):
+        if again.size > 0 and not again[members].any():
             continue
         for k in range(members.size):
             local[members[k]] = k
@@ -136,23 +146,14 @@ def solve_islands(islands, bodies, contacts, settings, time_step, only_limited, 
         before, u = np.zeros((2, members.size + 1, 6))
         for k in range(members.size):
             before[k], u[k] = bodies.velocities[members[k]], bodies.free_velocities[members[k]]
-        find_velocities(rows, surfaces, gaps, before, Iterate(impulses, rolling, u), settings, time_step)
+        pressing = find_velocities(rows, surfaces, gaps, before, Iterate(impulses, rolling, u), settings)
         for k in range(members.size):
             result.velocities[members[k]] = u[k]
-        if not only_limited:
-            drift = drift_velocities(rows, gaps, before, u, against, settings, time_step)
+        if again.size == 0:
+            drift = drift_velocities(rows, gaps, before, u, against, settings)
             for k in range(members.size):
                 result.drift[members[k]] = drift[k]
-        _keep_impulses(pairs, rows, contacts, impulses, rolling, result)
-
-
-@uncounted
-def _is_limited(pairs, contacts):
-    for pair in pairs:
-        for c in range(contacts.begin[pair], contacts.begin[pair + 1]):
-            if contacts.impulse_limits[c] < np.inf:
-                return True
-    return False
+        _keep_impulses(pairs, rows, contacts, Kept(impulses, rolling, pressing), result)
 
 
 @cached_njit
@@ -172,7 +173,7 @@ def _rows_of_island(members, pairs, local, bodies, contacts, settings):
     body_a, body_b = np.empty(pair_count, np.int64), np.empty(pair_count, np.int64)
     records, rolling_masses, sum_of_both = np.empty((count, RECORD)), np.zeros((pair_count, 3, 3)), np.empty((3, 3))
     friction, rolling_arm = contacts.friction[pairs], contacts.rolling_arm[pairs]
-    gaps = Gaps(np.empty(count), np.empty(count), np.empty(count), np.empty(count))
+    gaps = Gaps(np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count))
     limits, against = np.empty(count), np.zeros(count, np.bool_)
     nowhere = np.zeros(3)
     for k in range(pair_count):
@@ -189,6 +190,8 @@ def _rows_of_island(members, pairs, local, bodies, contacts, settings):
                     sum_of_both[x, y] = ia[x, y] + ib[x, y]
             invert_symmetric(sum_of_both, rolling_masses[k])
         inverse_mass = inverse_masses[body_a[k]] + inverse_masses[body_b[k]]
+        # A gap closes while either moves, so that it never closes further.
+        span = max(bodies.spans[a] if a < local.size else 0.0, bodies.spans[b] if b < local.size else 0.0)
         first = contacts.begin[pair]
         for c in range(begin[k], begin[k + 1]):
             source = first + c - begin[k]
@@ -197,7 +200,7 @@ def _rows_of_island(members, pairs, local, bodies, contacts, settings):
             )
             gaps.beyond[c], gaps.sizes[c] = contacts.gaps[source] - contacts.rest_gaps[source], contacts.sizes[pair]
             gaps.restitution[c], gaps.bounce_speeds[c] = contacts.restitution[pair], contacts.bounce_speeds[pair]
-            limits[c] = contacts.impulse_limits[source]
+            gaps.spans[c], limits[c] = span, contacts.impulse_limits[source]
         both_move = a < local.size and b < local.size
         _mark_against_parting(
             records[begin[k] : begin[k + 1]], contacts.gaps[first : contacts.begin[pair + 1]], both_move, center_a,
@@ -253,14 +256,15 @@ def _impulses_of_island(pairs, rows, contacts, result):
 
 
 @uncounted
-def _keep_impulses(pairs, rows, contacts, impulses, rolling, result):
+def _keep_impulses(pairs, rows, contacts, kept, result):
+    impulses, rolling, pressing = kept
     for k in range(pairs.size):
         for i in range(3):
             result.rolling[pairs[k], i] = rolling[k, i]
         shift = contacts.begin[pairs[k]] - rows.begin[k]
         for c in range(rows.begin[k], rows.begin[k + 1]):
             r = rows.contacts[c]
-            result.normal_impulses[c + shift] = impulses[c, 0]
+            result.normal_impulses[c + shift], result.pressing[c + shift] = impulses[c, 0], pressing[c]
             for i in range(3):
                 result.impulses[c + shift, i] = (
                     impulses[c, 0] * r[i] + impulses[c, 1] * r[TANGENT1 + i] + impulses[c, 2] * r[TANGENT2 + i]

@@ -99,6 +99,8 @@ class RigidBodies(NamedTuple):
     centers: np.ndarray  # (n, 3) [m]
     velocities: np.ndarray  # (n, 6) u(t): v [m/s] of the centre of mass, w [rad/s]
     free_velocities: np.ndarray  # (n, 6) u*
+    spans: np.ndarray  # (n,) h [s], the time in which each moves
+    asleep: np.ndarray  # (n,) bool: none or all of an island; they stay in place
 
 
 class BodyPairs(NamedTuple):
@@ -129,14 +131,16 @@ class Solution(NamedTuple):
     velocities: np.ndarray  # (n, 6) u(t + h)
     drift: np.ndarray  # (n, 6) u_d, for the poses of this step only
     normal_impulses: np.ndarray  # (N,) lambda [N s]
+    pressing: np.ndarray  # (N,) of these, without those of impacts (4): bodies that only bounce off are in free flight
     warm_start: WarmStart
 
 
-class Caps(NamedTuple):
-    """Limits of what materials transmit before they break, and the solution of the same step without them."""
+class Again(NamedTuple):
+    """What is solved a second time."""
 
-    impulse_limits: np.ndarray  # (N,) [N s] of lambda; inf: none
-    unlimited: Solution
+    bodies: np.ndarray  # (n,) bool: islands with such a body are solved, the others keep `before`
+    impulse_limits: np.ndarray  # (N,) [N s] of lambda, that materials transmit before they break; inf: none
+    before: Solution  # of the same contacts; its drift stays
 
 
 NO_WARM_START = WarmStart(
@@ -151,15 +155,12 @@ def solve_contacts(
     pairs: BodyPairs,
     warm_start: WarmStart,
     settings: SolverSettings,
-    time_step: float,
-    caps: Caps | None = None,
-    asleep: np.ndarray | None = None,
+    again: Again | None = None,
 ) -> Solution:
-    """Velocities after one step of `time_step` [s] that respect the contacts.
+    """Velocities after one step that respect the contacts.
 
-    Contacts are visited in input order, so equal input gives equal bytes. Contacts with a limit in `caps` do not
-    bounce; islands without such contacts keep the unlimited solution. Bodies that are `asleep` (n,), none or all of an
-    island, stay in place, and the warm start keeps the impulses of their contacts.
+    Contacts are visited in input order, so equal input gives equal bytes. Contacts with a limit in `again` do not
+    bounce. The warm start keeps the impulses of contacts between bodies that are asleep.
     """
     count, body_count = len(contacts.gaps), len(bodies.masses)
     begin = contacts.pair_begin.astype(np.int64)
@@ -170,21 +171,22 @@ def solve_contacts(
         begin, pairs.body_a, pairs.body_b, contacts.friction, contacts.restitution, pairs.rolling_arm,
         pairs.sizes, pairs.bounce_speeds,
         0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3), contacts.normals.reshape(-1, 3), contacts.gaps,
-        pairs.rest_gaps, np.full(count, np.inf) if caps is None else caps.impulse_limits,
+        pairs.rest_gaps, np.full(count, np.inf) if again is None else again.impulse_limits,
     )  # fmt: skip
-    if caps is None:
-        result = Result(bodies.free_velocities.copy(), np.zeros((body_count, 6)), np.zeros(count), impulses, rolling)
+    if again is None:
+        drift, nothing = np.zeros((body_count, 6)), np.zeros(count)
+        result = Result(bodies.free_velocities.copy(), drift, nothing, nothing.copy(), impulses, rolling)
     else:
-        unlimited = caps.unlimited
+        before = again.before
         result = Result(
-            unlimited.velocities.copy(), unlimited.drift.copy(), unlimited.normal_impulses.copy(), impulses, rolling
-        )
+            before.velocities.copy(), before.drift.copy(), before.normal_impulses.copy(), before.pressing.copy(),
+            impulses, rolling,
+        )  # fmt: skip
     islands = islands_of(begin, pairs.body_a, pairs.body_b, body_count)
-    if asleep is None:
-        asleep = np.zeros(body_count, bool)
-    solve_islands(islands, Bodies(*bodies), listed, settings, time_step, caps is not None, asleep, result)
+    chosen = np.zeros(0, bool) if again is None else again.bodies
+    solve_islands(islands, Bodies(*bodies), listed, settings, chosen, result)
     carried = WarmStart(contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, impulses, rolling)
-    return Solution(result.velocities, result.drift, result.normal_impulses, carried)
+    return Solution(result.velocities, result.drift, result.normal_impulses, result.pressing, carried)
 
 
 def bounce_speeds(settings: SolverSettings, sizes: np.ndarray, gravity: np.ndarray) -> np.ndarray:
@@ -222,18 +224,24 @@ def carried_impulses(fragment_a, fragment_b, begin, contact_ids, warm_start):
     return impulses, rolling
 
 
-def normal_impulse_sums(
-    solution: Solution, contacts: ContactConstraintArray, pairs: BodyPairs, body_count: int
+def sums_of_bodies(
+    impulses: np.ndarray, contacts: ContactConstraintArray, pairs: BodyPairs, body_count: int
 ) -> np.ndarray:
-    """Sum of lambda over the contacts of each body: (n,) [N s]. A body squeezed between two counts both sides."""
+    """Sum of `impulses` (N,) over the contacts of each body: (n,). A body squeezed between two counts both sides."""
     repeat: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
     sums = np.zeros(body_count + 1)
     for body in (pairs.body_a, pairs.body_b):
-        np.add.at(sums, np.repeat(body, repeat), solution.normal_impulses)
+        np.add.at(sums, np.repeat(body, repeat), impulses)
     return sums[:-1]
 
 
 def kinetic_energy(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndarray) -> float:
-    """Kinetic energy [J] of n bodies with velocities (n, 6)."""
+    """Kinetic energy [J] of n bodies with velocities (n, 6), all together."""
     v, w = velocities[:, :3], velocities[:, 3:]
     return float(0.5 * ((masses * dots(v, v)).sum() + dots(w, images(inertias, w)).sum()))
+
+
+def kinetic_energies(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+    """(n,) [J] of each of n bodies with velocities (n, 6)."""
+    v, w = velocities[:, :3], velocities[:, 3:]
+    return 0.5 * (masses * dots(v, v) + dots(w, images(inertias, w)))

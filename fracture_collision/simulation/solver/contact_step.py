@@ -30,15 +30,16 @@ class Gaps(NamedTuple):
     sizes: np.ndarray  # (N,) R [m]
     restitution: np.ndarray  # (N,)
     bounce_speeds: np.ndarray  # (N,) v_e [m/s]
+    spans: np.ndarray  # (N,) h [s]
 
 
 @cached_njit
-def find_velocities(rows, surfaces, gaps, before, iterate, settings, time_step):
+def find_velocities(rows, surfaces, gaps, before, iterate, settings):
     """Solve (1)-(5): the Iterate has u* and a first guess of the impulses, and gets u(t + h) and the impulses.
 
-    gaps: Gaps; before: u(t).
+    gaps: Gaps; before: u(t). Returns the normal impulses (N,) without those of (4).
     """
-    open_by = np.maximum(gaps.beyond, 0.0) / time_step
+    open_by = np.maximum(gaps.beyond, 0.0) / gaps.spans
     impulses, rolling, u = iterate
     gravity = _gravity(before, u)
     begin = Iterate(np.zeros_like(impulses), np.zeros_like(rolling), before.copy())
@@ -57,8 +58,10 @@ def find_velocities(rows, surfaces, gaps, before, iterate, settings, time_step):
         if _energy_gain(rows, begin.u, gravity, u) <= enough:
             break
         accuracy *= SHARPER
+    pressing = impulses[:, 0].copy()
     impulses += begin.impulses
     rolling += begin.rolling
+    return pressing
 
 
 @cached_njit
@@ -113,7 +116,7 @@ def _impacts(rows, surfaces, gaps, open_by, gravity, iterate, settings):
 
 
 @cached_njit
-def drift_velocities(rows, gaps, before, after, against, settings, time_step):
+def drift_velocities(rows, gaps, before, after, against, settings):
     """u_d by (6), with u(t) and u(t + h); contacts in `against` are left out."""
     u = np.zeros_like(before)
     depths = -gaps.beyond - settings.rest_slop * gaps.sizes
@@ -125,14 +128,14 @@ def drift_velocities(rows, gaps, before, after, against, settings, time_step):
     normal_velocities(rows, after, targets)
     limits = np.full(count, np.inf)
     for c in range(count):
-        depth = depths[c]
+        depth, span = depths[c], gaps.spans[c]
         # The new velocities count towards the correction; a gap that is not too small may still close up to the slop.
         if depth > 0.0:
-            push = min(settings.drift_fraction * depth / time_step, settings.drift_speed * gaps.sizes[c])
+            push = min(settings.drift_fraction * depth / span, settings.drift_speed * gaps.sizes[c])
             # Penetration of the last step is removed in the next: when a plate breaks, the ball is at its surface.
-            targets[c] = max(push, min(depth / time_step, -approach[c])) - targets[c]
+            targets[c] = max(push, min(depth / span, -approach[c])) - targets[c]
         else:
-            targets[c] = depth / time_step - targets[c]
+            targets[c] = depth / span - targets[c]
         if against[c]:
             limits[c] = 0.0
     still = np.zeros(rows.body_a.size)

@@ -10,8 +10,8 @@ it runs into one that it touches and that waits. The points of a body that turns
 held back likewise, before one of its contacts deepens by `ahead_gap`.
 
 The service looks ahead with the velocities before a blow. After the blow, bodies move where no contact was searched.
-In that step, no point of two touching bodies deviates from its searched path by more than a fifth of the thinner
-body's thickness, clamped to between one and two `ahead_gap`. The next request carries the new velocities.
+In that step, no point of two touching bodies deviates from its searched path by more than a fifth
+of the thinner body's thickness, clamped to between one and two `ahead_gap`. The next request has the new velocities.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.compiled import uncounted
-from fracture_collision.simulation.engine.engine import BodyStates, rows_of
-from fracture_collision.simulation.solver.contact_solver import BodyPairs, Solution, SolverSettings
+from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.solver.contact_solver import BodyPairs, SolverSettings
 from fracture_collision.simulation.solver.inertia_boxes import boxes_of
 from fracture_collision.simulation.solver.side_by_side import shares_side_by_side
 from fracture_collision.simulation.solver.straight_motion import Motion, length, turned
@@ -43,17 +43,6 @@ DEEPER = 0.05
 PARTS, PARTS_A_RADIAN, MOST_PARTS, HALVINGS = 4, 8.0, 1000, 30
 
 
-class TouchesAhead(NamedTuple):
-    """N contacts ahead."""
-
-    fragment_a: np.ndarray  # (N,) uint32
-    fragment_b: np.ndarray
-    points_a: np.ndarray  # (N, 3) [m] present positions, world
-    points_b: np.ndarray  # (N, 3)
-    normals: np.ndarray  # (N, 3) from a to b, at the touch
-    sizes: np.ndarray  # (N,) R [m]
-
-
 class Forms(NamedTuple):
     """Of n bodies; the last of each is for what cannot move."""
 
@@ -66,7 +55,8 @@ class StepContacts(NamedTuple):
 
     now: ContactConstraintArray  # those solved
     pairs: BodyPairs  # of these
-    ahead: TouchesAhead | None
+    ahead: ContactConstraintArray | None
+    pairs_ahead: BodyPairs | None
 
 
 class Touches(NamedTuple):
@@ -80,17 +70,17 @@ class Touches(NamedTuple):
     least: np.ndarray  # (N,) [m] the gap at which the motion ends
 
 
-class HeldBack(NamedTuple):
-    """Motion of n bodies within a step."""
+class Course(NamedTuple):
+    """How n bodies would move in a step: velocities (n, 6) [m/s, rad/s]."""
 
-    velocities: np.ndarray  # (n, 6) [m/s, rad/s] that they keep
-    drift: np.ndarray  # (n, 6) added to these for the poses of this step only
-    shares: np.ndarray  # (n,) of the step, after which they stand still
+    moves: np.ndarray  # (n, 6)
+    searched: np.ndarray | None  # (n, 6) with which the service looked ahead; None: it does not look ahead
+    falls: np.ndarray  # (n, 3) by which gravity changes `moves`
 
 
 def split_by_gap(
     contacts: ContactConstraintArray, sizes: np.ndarray, most: float
-) -> tuple[ContactConstraintArray, TouchesAhead | None]:
+) -> tuple[ContactConstraintArray, ContactConstraintArray | None]:
     """The contacts with gaps of at most `most` R, with their pairs, and the contacts ahead, None without any.
 
     sizes (p,): R [m] of the pairs.
@@ -99,67 +89,56 @@ def split_by_gap(
     is_ahead = contacts.gaps > most * np.repeat(sizes, counts)
     if not is_ahead.any():
         return contacts, None
-    pair = np.repeat(np.arange(len(counts)), counts)
-    left = np.bincount(pair[~is_ahead], minlength=len(counts))
     # A pair listed without contacts stays, for its missed_depth_bound.
-    stays = (left > 0) | (counts == 0)
-    rows = np.repeat(~is_ahead, 3)
-    now = contacts._replace(
+    is_empty = counts == 0
+    return chosen_contacts(contacts, ~is_ahead, is_empty), chosen_contacts(contacts, is_ahead, np.zeros_like(is_empty))
+
+
+def chosen_contacts(contacts: ContactConstraintArray, chosen: np.ndarray, stays: np.ndarray) -> ContactConstraintArray:
+    """The `chosen` (N,) contacts, and the pairs that have any or `stays` (p,)."""
+    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
+    left = np.bincount(np.repeat(np.arange(len(counts)), counts)[chosen], minlength=len(counts))
+    stays, rows = stays | (left > 0), np.repeat(chosen, 3)
+    return contacts._replace(
         fragment_a=contacts.fragment_a[stays], fragment_b=contacts.fragment_b[stays],
         pair_begin=begins_of(left[stays]).astype(contacts.pair_begin.dtype),
         missed_depth_bound=contacts.missed_depth_bound[stays], friction=contacts.friction[stays],
         restitution=contacts.restitution[stays], points_a=contacts.points_a[rows], points_b=contacts.points_b[rows],
-        normals=contacts.normals[rows], gaps=contacts.gaps[~is_ahead], contact_ids=contacts.contact_ids[~is_ahead],
+        normals=contacts.normals[rows], gaps=contacts.gaps[chosen], contact_ids=contacts.contact_ids[chosen],
     )  # fmt: skip
-    ahead = pair[is_ahead]
-    columns = (contacts.points_a, contacts.points_b, contacts.normals)
-    points_a, points_b, normals = (column.reshape(-1, 3)[is_ahead] for column in columns)
-    return now, TouchesAhead(
-        contacts.fragment_a[ahead], contacts.fragment_b[ahead], points_a, points_b, normals, sizes[ahead]
-    )
 
 
-def held_back(
-    states: BodyStates, contacts: StepContacts, searched: np.ndarray | None, forms: Forms, solution: Solution,
-    gravity: np.ndarray, settings: SolverSettings, time_step: float,
-) -> HeldBack:  # fmt: skip
-    """Velocities and drift (n, 6) that move bodies no farther than to where they touch.
-
-    Gravity (3,) [m/s2] acts only while a body moves: its share for the rest of the step is subtracted, or the body
-    would gain energy without a loss of height. From a body in contact no more than its falling speed is subtracted:
-    contacts already bear the weight of a resting body. One that fell and rises has bounced: to it, the share is given
-    back, to no more than the speed at which it fell.
-
-    searched (n, 6): the velocities that the service looked ahead with; None: it does not look ahead.
-    """
-    (now, pairs, ahead), velocities, drift = contacts, solution.velocities, solution.drift
-    is_round = forms.is_round
+def shares_of_step(
+    states: BodyStates, contacts: StepContacts, course: Course, forms: Forms, settings: SolverSettings,
+    time_step: float,
+) -> np.ndarray:  # fmt: skip
+    """(n,) share of their course for which bodies move: no farther than to where they touch."""
+    (now, pairs, ahead, pairs_ahead), (moves, searched, _), is_round = contacts, course, forms.is_round
     count = len(states.fragment_ids)
-    moves, shares = velocities + drift, np.ones(count)
+    shares = np.ones(count)
     if searched is None:
-        goes_round = _turns_far(pairs, velocities, time_step)
+        is_chosen = _turns_far(pairs, moves, time_step)
     else:
         boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap * forms.sizes[:-1]
         spare = np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
         reach = np.where(is_round[:-1], 0.0, boxes.reach())  # turning does not move a sphere's surface
         near = settings.ahead_gap * pairs.sizes
-        goes_round = _goes_astray(pairs, velocities, reach, near, time_step)
+        is_chosen = _goes_astray(pairs, moves, reach, near, time_step)
         of_bodies = np.append(spare, np.inf)
         spare_of_pairs = np.minimum(of_bodies[pairs.body_a], of_bodies[pairs.body_b])
         # What cannot move may be smaller than what touches it.
         spare_of_pairs = np.minimum(spare_of_pairs, MOST_SPARE * near)
-        shares = _shares_as_searched(pairs, moves - searched, reach, spare_of_pairs, gravity, time_step)
-        if ahead is not None or goes_round.any() or shares.min(initial=1.0) < 1.0:
+        shares = _shares_as_searched(pairs, course, reach, spare_of_pairs, time_step)
+        if ahead is not None or is_chosen.any() or shares.min(initial=1.0) < 1.0:
             # Two that touch are kept apart while both move: one that moves on alone would run into the other.
-            goes_round = goes_round | ((pairs.body_a < count) & (pairs.body_b < count))
-    touching = _touching(now, pairs, goes_round, settings, DEEPER if searched is not None else 1.0)
-    if ahead is None and touching is None and searched is None:
-        return HeldBack(velocities, drift, shares)
+            is_chosen = is_chosen | ((pairs.body_a < count) & (pairs.body_b < count))
+    touching = _touching(now, pairs, is_chosen, settings, DEEPER if searched is not None else 1.0)
     parts = [] if touching is None else [touching]
-    if ahead is not None:
-        a, b = (rows_of(fragments, states.fragment_ids) for fragments in (ahead.fragment_a, ahead.fragment_b))
-        least_gaps = settings.rest_gap * ahead.sizes
-        parts.append(Touches(a, b, ahead.points_a, ahead.points_b, ahead.normals, least_gaps))
+    if ahead is not None and pairs_ahead is not None:
+        repeat: np.ndarray = np.diff(ahead.pair_begin.astype(np.int64))
+        a, b = np.repeat(pairs_ahead.body_a, repeat), np.repeat(pairs_ahead.body_b, repeat)
+        points_a, points_b, normals = (x.reshape(-1, 3) for x in (ahead.points_a, ahead.points_b, ahead.normals))
+        parts.append(Touches(a, b, points_a, points_b, normals, pairs_ahead.rest_gaps))
     motion = Motion(states.centers, moves, time_step)
     if parts:
         touches = Touches._make(np.concatenate(column) for column in zip(*parts, strict=True))
@@ -168,33 +147,22 @@ def held_back(
         shares = shares_until_touch(touches, motion, shares, searched is not None, is_round)
     if searched is not None:
         shares = shares_side_by_side(shares, motion, boxes, spare)
-    is_free = np.ones(count + 1, bool)
-    is_free[pairs.body_a] = is_free[pairs.body_b] = False
-    unspent, falls = (1.0 - shares) * time_step, dots(velocities[:, :3], gravity)
-    square = float((gravity * gravity).sum())
-    if square > 0.0:
-        bounced = np.maximum(dots(states.linear, gravity) + np.minimum(falls, 0.0), 0.0)
-        most = np.where(falls < 0.0, bounced, falls) / square
-        unspent = np.where(is_free[:count], unspent, np.minimum(unspent, most))
-    velocities = velocities.copy()
-    velocities[:, :3] -= unspent[:, None] * gravity
-    return HeldBack(velocities, shares[:, None] * moves - velocities, shares)
+    return shares
 
 
 def _shares_as_searched(
-    pairs: BodyPairs, change: np.ndarray, reach: np.ndarray, spare: np.ndarray, gravity: np.ndarray, time_step: float
+    pairs: BodyPairs, course: Course, reach: np.ndarray, spare: np.ndarray, time_step: float
 ) -> np.ndarray:
-    """(n,) share of the step for which each body may move along another path than the searched one.
+    """(n,) share of their course for which bodies may move along another path than the searched one.
 
-    No point of two touching bodies deviates from that path by more than the pair's `spare` (p,) [m]. change (n, 6): by
-    how much the velocities differ from those searched with. These are of free fall: weight that contacts bear counts as
-    no deviation, or bodies at rest on another that slide along it would be held back.
+    No point of two touching bodies deviates from that path by more than the pair's `spare` (p,) [m]. It is one of free
+    fall: what contacts bear of a weight counts as no deviation, or bodies at rest on another that slide along it would
+    be held back.
     """
-    linear, square = change[:, :3], float((gravity * gravity).sum())
-    if square > 0.0:
-        borne = np.clip(-dots(linear, gravity) / square, 0.0, time_step)
-        linear = linear + borne[:, None] * gravity
-    astray = np.append(time_step * (lengths(linear) + reach * lengths(change[:, 3:])), 0.0)
+    change, falls = course.moves - course.searched, course.falls
+    # A surface with normal n bears -(n . f) n of a weight f, a vector in the ball whose diameter is -f.
+    linear = np.maximum(lengths(change[:, :3] + 0.5 * falls) - 0.5 * lengths(falls), 0.0)
+    astray = np.append(time_step * (linear + reach * lengths(change[:, 3:])), 0.0)
     share = spare / np.maximum(astray[pairs.body_a] + astray[pairs.body_b], spare)
     shares = np.ones(len(change) + 1)
     np.minimum.at(shares, pairs.body_a, share)
