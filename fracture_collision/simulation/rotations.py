@@ -13,6 +13,7 @@ from fracture_collision.portable_math import cosine, images, normal_numbers, sin
 DEGREE = np.pi / 180.0  # [rad]
 # [rad] sin(x) / x is 1 to the last bit below this angle.
 SMALL_ANGLE = 1e-8
+INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])  # of a unit quaternion, coordinate by coordinate
 
 _sine_after = cached_njit(portable_math.sine_after)
 

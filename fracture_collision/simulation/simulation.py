@@ -30,9 +30,19 @@ from fracture_collision.simulation.actors.arm_control import ArmControl
 from fracture_collision.simulation.actors.drag import Drag
 from fracture_collision.simulation.body_traits import Traits, traits_of
 from fracture_collision.simulation.cast import Cast
-from fracture_collision.simulation.engine.engine import BodyStates, Engine, FrameState
+from fracture_collision.simulation.catching_up import (
+    MOST_LOST,
+    NOTHING,
+    ROUGHLY,
+    Expected,
+    Touching,
+    Waited,
+    carried_contacts,
+    extra_times,
+)
+from fracture_collision.simulation.engine.engine import BodyStates, ByFragment, Engine, FrameState
 from fracture_collision.simulation.engine.free_motion import free_velocities, mean_spins
-from fracture_collision.simulation.engine.pushes import NO_CHANGES, Changes, Planned, Pusher, Pushes, planned, pushes_of
+from fracture_collision.simulation.engine.pushes import NO_CHANGES, Planned, Pusher, Pushes, planned, pushes_of
 from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
 from fracture_collision.simulation.lookahead_check import LookaheadCheck
 from fracture_collision.simulation.rotations import turned_back
@@ -99,7 +109,11 @@ class Simulation:
         self._requested: FragmentStates | None = None
         self._planned: Planned | None = None  # of this step, where the service gets the pushes in advance
         self._taken = NO_CHANGES  # by contacts in the last step
-        self.shares = np.ones(0)  # of the last step, for which its bodies moved: see touch_ahead
+        self.shares = np.ones(0)  # of their courses in the last step, for which bodies moved: see touch_ahead
+        self._waited: Waited | None = None  # the last step, if the next one has to make up for it
+        self._lost = NOTHING.extra  # (n,) [s] that bodies are behind
+        self._expected = NOTHING  # of this step
+        self._carried: Touching | None = None  # to this step, from the last one that had to be made up for
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
@@ -163,6 +177,10 @@ class Simulation:
         if self._looks_ahead and self._planned is None and not self._cast.waiting:
             states = self._engine.states()
             self._planned = planned(states.fragment_ids, self._pushes(states), self._taken)
+        if self._waited is not None:
+            states = self._engine.states()  # of nothing, if all bodies have left or broken
+            self._expected = self._expect(states, self._waited) if len(states.masses) else NOTHING
+            self._waited = None
         others = self._cast.static_frames | {i: self._falling(frame) for i, frame in self._cast.waiting.items()}
         requested = fragment_states(self._step, self._sequence, self._to_search(self._engine.states()), others)
         self._requested = requested._replace(body_sequence=self._cast.body_sequence)
@@ -264,13 +282,13 @@ class Simulation:
         self._planned = None
         rest = sleep.roused(self._rest, states.fragment_ids, touched, np.any(pushes.velocities, axis=1))
         self._rest = sleep.settled(rest, self._memory.pair_begin, pairs.body_a, pairs.body_b, settings.sleep_time)
-        bodies = self._rigid_bodies(states, pushes.velocities)
+        bodies = self._rigid_bodies(states, pushes.velocities, self._spans(states), self._rest.asleep)
         solution, overloaded, limits = solve_with_strengths(
             bodies, contacts, pairs, self._warm_start, settings, traits.strengths
         )
         flight = self._flight(bodies, contacts, pairs, solution, self._rest.asleep | np.any(pushes.velocities, axis=1))
         if self._looks_ahead:
-            self._taken = Changes(states.fragment_ids, solution.velocities - bodies.free_velocities)
+            self._taken = ByFragment(states.fragment_ids, solution.velocities - bodies.free_velocities)
         return _Solved(
             StepContacts(contacts, pairs, ahead, pairs_ahead), bodies, searched, solution, limits, flight, overloaded,
             deepest_gap, pushes.energy,
@@ -280,8 +298,11 @@ class Simulation:
         """Move the bodies as far as they may; returns the energy [J] that drift correction adds in lifting them."""
         gravity, settings, time_step = self._scene.gravity, self._scene.solver, self._scene.time_step
         (bodies, solution), forms = (solved.bodies, solved.solution), self._traits(states).forms
-        moves = solution.velocities + solution.drift + solved.flight
-        course = Course(moves, solved.searched, (bodies.free_velocities - bodies.velocities)[:, :3])
+        rates = (bodies.spans / time_step)[:, None]
+        moves = rates * (solution.velocities + solution.drift + solved.flight)
+        falls = rates * (bodies.free_velocities - bodies.velocities)[:, :3]
+        is_expected = np.isin(states.fragment_ids, self._expected.velocities.fragment_ids)
+        course = Course(moves, solved.searched, falls, is_expected)
         self.shares = shares_of_step(states, solved.contacts, course, forms, settings, time_step)
         moved = self.shares * bodies.spans
         if (self.shares < 1.0).any():
@@ -291,7 +312,21 @@ class Simulation:
         self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         farthest = sleep.farthest_at_rest(settings, forms.sizes[:-1], gravity)
         self._rest = sleep.after_step(self._rest, states.masses, states.inertias, v + drift, farthest, time_step)
+        if self._looks_ahead:
+            self._remember_waiting(states, solved, moved)
         return -float((states.masses * moved * dots(solved.solution.drift[:, :3], gravity)).sum())
+
+    def _remember_waiting(self, states: BodyStates, solved: _Solved, moved: np.ndarray) -> None:
+        """Keep what the next step needs to make up for this one, in which bodies moved for `moved` (n,) [s]."""
+        is_held = self.shares < 1.0
+        is_at_rest = (self._rest.quiet > 0.0) & ~is_held
+        lost = np.clip(self._lost.of(states.fragment_ids) + self._scene.time_step - moved, 0.0, None)
+        lost = np.where(is_at_rest, 0.0, np.minimum(lost, MOST_LOST * self._scene.time_step))
+        carried, self._carried = self._carried, None
+        self._lost, self._expected = ByFragment(states.fragment_ids, lost), NOTHING
+        if is_held.any() or lost.any():
+            is_round = self._traits(states).forms.is_round[:-1]
+            self._waited = Waited(states, solved.contacts, carried, is_round, is_held, is_at_rest, lost)
 
     def _solved_until(self, moved: np.ndarray, solved: _Solved) -> Solution:
         """The solution with gravity for the times `moved` (n,) [s] only: bodies that waited gain no energy by it."""
@@ -303,6 +338,20 @@ class Simulation:
             bodies._replace(free_velocities=free), solved.contacts.now, solved.contacts.pairs,
             solved.solution.warm_start, self._scene.solver, again,
         )  # fmt: skip
+
+    def _expect(self, states: BodyStates, waited: Waited) -> Expected:
+        """What is known of the coming step, after one in which bodies waited; see catching_up."""
+        settings, ids, time_step = self._scene.solver, states.fragment_ids, self._scene.time_step
+        contacts, pairs = self._carried = carried_contacts(waited, states, settings)
+        pushes = np.zeros((len(ids), 6)) if self._planned is None else self._planned.pushes.of(ids)
+        extra, is_expected = extra_times(waited, states, np.any(pushes, axis=1), pairs, time_step)
+        bodies = self._rigid_bodies(states, pushes, time_step + extra, np.zeros(len(ids), bool))
+        still, zeros = np.zeros((len(ids), 6)), np.zeros(len(contacts.gaps))
+        nothing = Solution(bodies.free_velocities, still, zeros, zeros, self._warm_start)
+        again = Again(is_expected, np.full(len(zeros), np.inf), nothing)
+        roughly = settings._replace(accuracy=ROUGHLY, rounds=1)
+        solution = solve_contacts(bodies, contacts, pairs, self._warm_start, roughly, again)
+        return Expected(ByFragment(ids, extra), ByFragment(ids[is_expected], solution.velocities[is_expected]))
 
     def _break_overloaded(self, states: BodyStates, moved: BodyStates, solved: _Solved) -> None:
         """Break the overloaded fragments, those of `states` before the step; `moved`: after it."""
@@ -330,16 +379,21 @@ class Simulation:
 
         Otherwise the look-ahead would miss what a hand adds, the gyroscopic torque, which turns the axis of a fast
         shard by a radian, and gravity, by which a body at rest beside a seam would fall into it. Bodies asleep do not
-        fall.
+        fall. After a step in which bodies waited, the contacts of some are expected too.
         """
-        velocities, spans = _velocities(states), self._spans(states)
+        velocities, spans, ids = _velocities(states), self._spans(states), states.fragment_ids
         if self._planned is not None:
-            velocities = velocities + self._planned.expected.of(states.fragment_ids)
+            velocities = velocities + self._planned.expected.of(ids)
         free = free_velocities(velocities, states.inertias, self._scene.gravity, spans)
-        asleep = np.isin(states.fragment_ids, self._rest.fragment_ids[self._rest.asleep])
+        asleep = np.isin(ids, self._rest.fragment_ids[self._rest.asleep])
         linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
         angular = mean_spins(velocities[:, 3:], free[:, 3:], states.inertias, spans)
-        return states._replace(linear=linear, angular=angular)
+        known = self._expected.velocities
+        if len(known.fragment_ids):
+            moves, is_known = known.of(ids), np.isin(ids, known.fragment_ids)[:, None]
+            linear, angular = np.where(is_known, moves[:, :3], linear), np.where(is_known, moves[:, 3:], angular)
+        rates = (spans / self._scene.time_step)[:, None]
+        return states._replace(linear=rates * linear, angular=rates * angular)
 
     def _falling(self, frame: FrameState) -> FrameState:
         """The frame with the velocity that it will have: as _to_search, without the torque that needs its inertia."""
@@ -347,13 +401,15 @@ class Simulation:
 
     def _spans(self, states: BodyStates) -> np.ndarray:
         """(n,) [s] for which bodies move in this step, if nothing holds them back."""
-        return np.full(len(states.masses), self._scene.time_step)
+        return self._scene.time_step + self._expected.extra.of(states.fragment_ids)
 
-    def _rigid_bodies(self, states: BodyStates, pushes: np.ndarray) -> RigidBodies:
-        velocities, spans = _velocities(states) + pushes, self._spans(states)
+    def _rigid_bodies(
+        self, states: BodyStates, pushes: np.ndarray, spans: np.ndarray, asleep: np.ndarray
+    ) -> RigidBodies:
+        velocities = _velocities(states) + pushes
         free = free_velocities(velocities, states.inertias, self._scene.gravity, spans)
         masses, inertias = states.masses, states.inertias
-        return RigidBodies(masses, inertias, states.centers, velocities, free, spans, self._rest.asleep)
+        return RigidBodies(masses, inertias, states.centers, velocities, free, spans, asleep)
 
     def _flight(
         self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, solution: Solution,

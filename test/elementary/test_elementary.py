@@ -33,6 +33,10 @@ def test_a_slide_over_seams_loses_nothing_at_other_steps(name: str, step: float)
     assert not faults(name, Setting("box", step=step))
 
 
-def test_a_coin_gains_no_energy_at_long_steps() -> None:
-    """It waits at each touch of its rim, for the rest of a step of 10 ms in which its weight does no work."""
-    assert not faults("coin", Setting("box", step=0.01))
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("dominoes", "box"), ("dominoes", "brick1"), ("coin", "box"), ("chain", "box")],
+)
+def test_blows_cost_no_time_and_give_no_energy_at_long_steps(name: str, kind: str) -> None:
+    """Bodies wait for the rest of a step of 10 ms in which they touch, and make up for it."""
+    assert not faults(name, Setting(kind, step=0.01))

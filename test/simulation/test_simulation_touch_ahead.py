@@ -126,12 +126,15 @@ def test_contact_planes_rotate_with_their_body(is_round: bool) -> None:
     assert own == pytest.approx(np.full(2, angles[np.argmax(gaps < REST)] / 0.5), abs=1e-4)
 
 
-def beside(shares: list[float], centers: list[list[float]], moves: np.ndarray) -> np.ndarray:
+def beside(
+    shares: list[float], centers: list[list[float]], moves: np.ndarray, searched: np.ndarray | None = None
+) -> np.ndarray:
     """Shares of the step for cubes of 4 cm, in a step of 2.5 ms."""
     count = len(shares)
     boxes = Boxes(np.tile(np.eye(3), (count, 1, 1)), np.full((count, 3), 0.02))
     motion = Motion(np.array(centers), moves, 0.0025)
-    return shares_side_by_side(np.array(shares), motion, boxes, np.full(count, SPARE))
+    searched = moves if searched is None else searched
+    return shares_side_by_side(np.array(shares), motion, searched, boxes, np.full(count, SPARE))
 
 
 def test_bodies_beside_a_stopped_one_do_not_run_into_it() -> None:
@@ -144,6 +147,15 @@ def test_bodies_beside_a_stopped_one_do_not_run_into_it() -> None:
     paths = [at[0] + 0.05 * np.minimum(gone, share) for at, share in zip(centers, held, strict=True)]
     for behind, before in ((0, 1), (1, 2)):
         assert (paths[before] - paths[behind]).min() > 0.04 - SPARE
+
+
+def test_a_body_does_not_run_into_one_that_a_blow_has_stopped() -> None:
+    """The service knew that the first would move on before the second."""
+    searched, moves = np.zeros((2, 6)), np.zeros((2, 6))
+    searched[:, 0] = moves[1, 0] = 20.0
+    held = beside([0.1, 1.0], [[0.07, 0.0, 0.0], [0.0, 0.0, 0.0]], moves, searched)
+    assert 0.05 * held[1] < 0.03 + SPARE
+    assert beside([1.0, 1.0], [[0.07, 0.0, 0.0], [0.0, 0.0, 0.0]], moves, searched).tolist() == [1.0, 1.0]
 
 
 def test_bodies_that_move_away_from_or_past_a_stopped_one_are_not_stopped() -> None:

@@ -27,11 +27,10 @@ from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.actors.arm import JOINTS, Arm, ArmKinematics, require_within
 from fracture_collision.simulation.config.urdf_chain import JointLimits
 from fracture_collision.simulation.engine.engine import BodyStates
-from fracture_collision.simulation.rotations import quaternion_products
+from fracture_collision.simulation.rotations import INVERSE, quaternion_products
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 
 LEVER = 0.1  # [m] lever arm by which the force limit becomes the torque limit of a part
-INVERSE = np.array([-1.0, -1.0, -1.0, 1.0])  # of a unit quaternion, coordinate by coordinate
 
 
 class ArmControl:

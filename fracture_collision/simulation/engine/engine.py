@@ -59,6 +59,20 @@ def rows_of(fragments: np.ndarray, ids: np.ndarray) -> np.ndarray:
     return np.where(np.append(ids, 0)[rows] == fragments, rows, len(ids)).astype(np.int64)
 
 
+class ByFragment(NamedTuple):
+    """Values of n fragments."""
+
+    fragment_ids: np.ndarray  # (n,) uint32, ascending
+    values: np.ndarray  # (n, ...)
+
+    def of(self, fragment_ids: np.ndarray) -> np.ndarray:
+        """(m, ...) the values of `fragment_ids` (m,), ascending; 0 for fragments that are not among these."""
+        values = np.zeros((len(fragment_ids), *self.values.shape[1:]), self.values.dtype)
+        _, own, these = np.intersect1d(fragment_ids, self.fragment_ids, assume_unique=True, return_indices=True)
+        values[own] = self.values[these]
+        return values
+
+
 class Engine(Protocol):
     """A world of free rigid bodies without collision shapes."""
 

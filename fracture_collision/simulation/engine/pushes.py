@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fracture_collision.portable_math import lengths
-from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.engine.engine import BodyStates, ByFragment
 
 
 class Pusher(Protocol):
@@ -26,43 +26,29 @@ class Pushes(NamedTuple):
     energy: float  # [J] likewise
 
 
-class Changes(NamedTuple):
-    """Changes of velocities, by fragments."""
-
-    fragment_ids: np.ndarray  # (n,) uint32, ascending
-    velocities: np.ndarray  # (n, 6) [m/s, rad/s]
-
-    def of(self, fragment_ids: np.ndarray) -> np.ndarray:
-        """(m, 6) changes of `fragment_ids`; 0 for fragments that are not among these."""
-        velocities = np.zeros((len(fragment_ids), 6))
-        _, own, these = np.intersect1d(fragment_ids, self.fragment_ids, assume_unique=True, return_indices=True)
-        velocities[own] = self.velocities[these]
-        return velocities
-
-
-NO_CHANGES = Changes(np.zeros(0, np.uint32), np.zeros((0, 6)))
+NO_CHANGES = ByFragment(np.zeros(0, np.uint32), np.zeros((0, 6)))
 
 
 class Planned(NamedTuple):
     """Pushes planned when the step began, on the bodies in motion then; newer bodies are not pushed in this step."""
 
-    pushes: Changes
+    pushes: ByFragment  # (n, 6) [m/s, rad/s]
     energy: float  # [J] that they add
-    expected: Changes  # estimate of what contacts leave of the pushes
+    expected: ByFragment  # (n, 6) estimate of what contacts leave of the pushes
 
 
-def planned(fragment_ids: np.ndarray, pushes: Pushes, taken: Changes) -> Planned:
+def planned(fragment_ids: np.ndarray, pushes: Pushes, taken: ByFragment) -> Planned:
     """The pushes of a step, and the velocities expected after them.
 
-    taken: changes by contacts in the last step. They are expected again, as for a hammer that presses against a wall,
+    taken: (m, 6) by contacts in the last step. They are expected again, as for a hammer that presses against a wall,
     but no larger than the push: the blow of a hammer that has just hit the wall does not repeat.
     """
     by_contacts = taken.of(fragment_ids)
     for part in (slice(0, 3), slice(3, 6)):
         pushed, lost = lengths(pushes.velocities[:, part]), lengths(by_contacts[:, part])
         by_contacts[:, part] *= np.minimum(1.0, pushed / np.where(lost > 0.0, lost, 1.0))[:, None]
-    left = Changes(fragment_ids, pushes.velocities + by_contacts)
-    return Planned(Changes(fragment_ids, pushes.velocities), pushes.energy, left)
+    left = ByFragment(fragment_ids, pushes.velocities + by_contacts)
+    return Planned(ByFragment(fragment_ids, pushes.velocities), pushes.energy, left)
 
 
 def pushes_of(

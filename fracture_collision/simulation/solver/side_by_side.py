@@ -23,18 +23,21 @@ ENOUGH = 1.01
 
 
 @cached_njit
-def shares_side_by_side(shares, motion, boxes, spare):
+def shares_side_by_side(shares, motion, searched, boxes, spare):
     """`shares` (n,) of the step for which bodies move, reduced where one may run into another that is held back more.
 
-    motion: Motion; boxes: Boxes of the bodies; spare (n,) [m]: allowed deviation from the searched motion.
+    motion: Motion; searched (n, 6): the velocities that the service looked ahead with; boxes: Boxes of the bodies;
+    spare (n,) [m]: allowed deviation from the searched motion.
     """
     n, shares = len(shares), shares.copy()
-    ways = np.empty(n)
+    ways = np.zeros(n)
     for i in range(n):
-        u = motion.velocities[i]
-        ways[i] = motion.time_step * (
-            length(u[0], u[1], u[2]) + length(u[3], u[4], u[5]) * _reach(boxes.halves[i])
-        )
+        # One that stops is missed where it would have been, and so is one that a blow has stopped.
+        for u in (motion.velocities[i], searched[i]):
+            way = motion.time_step * (
+                length(u[0], u[1], u[2]) + length(u[3], u[4], u[5]) * _reach(boxes.halves[i])
+            )
+            ways[i] = max(ways[i], way)
     changed = True
     while changed:
         changed = False

@@ -3,14 +3,14 @@
 With its parameter `lookahead` the service also lists contacts of bodies that are apart now and, at their velocities,
 touch before the step ends. Such a contact gets no impulse across the gap: it does not bounce and breaks nothing. The
 two bodies move for the part of the step before the touch, keep their velocities, and meet in the next step as they
-would have met at its beginning. They lose time, less than a step.
+would have met at its beginning. They make up for the rest of the step in later ones (`catching_up`).
 
 The solved velocities keep touching bodies apart along straight lines, as long as both move. A body is held back before
 it runs into one that it touches and that waits. The points of a body that turns far in a step move along arcs: it is
 held back likewise, before one of its contacts deepens by `ahead_gap`.
 
-The service looks ahead with the velocities before a blow. After the blow, bodies move where no contact was searched.
-In that step, no point of two touching bodies deviates from its searched path by more than a fifth
+The service looks ahead with the velocities before a blow that was not expected. After the blow, bodies move where no
+contact was searched. In that step, no point of two touching bodies deviates from its searched path by more than a fifth
 of the thinner body's thickness, clamped to between one and two `ahead_gap`. The next request has the new velocities.
 """
 
@@ -36,6 +36,8 @@ FAR_TURN = 0.1
 # A body may deviate by this share of the shortest side of its inertia box, but by no more than MOST_SPARE `ahead_gap`:
 # parts of it, such as ears, may be thinner.
 SPARE, MOST_SPARE = 0.2, 2.0
+# Of this, where the path was an expected one: a body that it does not touch may deviate as well, and come to meet it.
+EXPECTED = 0.75
 # A contact deeper than `ahead_gap` deepens by no more than this share of it in a step, or it would go deep in time.
 DEEPER = 0.05
 # A path is checked in PARTS parts and PARTS_A_RADIAN more for each radian that the bodies turn, these at most
@@ -71,11 +73,15 @@ class Touches(NamedTuple):
 
 
 class Course(NamedTuple):
-    """How n bodies would move in a step: velocities (n, 6) [m/s, rad/s]."""
+    """How n bodies would move in a step: velocities (n, 6) [m/s, rad/s] that bring them there in one time step.
+
+    A body that makes up for lost time moves for longer than a step: its velocities are so many times its own.
+    """
 
     moves: np.ndarray  # (n, 6)
     searched: np.ndarray | None  # (n, 6) with which the service looked ahead; None: it does not look ahead
     falls: np.ndarray  # (n, 3) by which gravity changes `moves`
+    is_expected: np.ndarray  # (n,) bool: the service looked ahead with the velocities expected after contacts
 
 
 def split_by_gap(
@@ -113,7 +119,7 @@ def shares_of_step(
     time_step: float,
 ) -> np.ndarray:  # fmt: skip
     """(n,) share of their course for which bodies move: no farther than to where they touch."""
-    (now, pairs, ahead, pairs_ahead), (moves, searched, _), is_round = contacts, course, forms.is_round
+    (now, pairs, ahead, pairs_ahead), (moves, searched, *_), is_round = contacts, course, forms.is_round
     count = len(states.fragment_ids)
     shares = np.ones(count)
     if searched is None:
@@ -128,7 +134,7 @@ def shares_of_step(
         spare_of_pairs = np.minimum(of_bodies[pairs.body_a], of_bodies[pairs.body_b])
         # What cannot move may be smaller than what touches it.
         spare_of_pairs = np.minimum(spare_of_pairs, MOST_SPARE * near)
-        shares = _shares_as_searched(pairs, course, reach, spare_of_pairs, time_step)
+        shares = _shares_as_searched(pairs, course, reach, spare, spare_of_pairs, time_step)
         if ahead is not None or is_chosen.any() or shares.min(initial=1.0) < 1.0:
             # Two that touch are kept apart while both move: one that moves on alone would run into the other.
             is_chosen = is_chosen | ((pairs.body_a < count) & (pairs.body_b < count))
@@ -146,25 +152,28 @@ def shares_of_step(
             touches = _by_middles_of_spheres(touches, states.centers, is_round)
         shares = shares_until_touch(touches, motion, shares, searched is not None, is_round)
     if searched is not None:
-        shares = shares_side_by_side(shares, motion, boxes, spare)
+        shares = shares_side_by_side(shares, motion, searched, boxes, spare)
     return shares
 
 
 def _shares_as_searched(
-    pairs: BodyPairs, course: Course, reach: np.ndarray, spare: np.ndarray, time_step: float
-) -> np.ndarray:
+    pairs: BodyPairs, course: Course, reach: np.ndarray, spare: np.ndarray, spare_of_pairs: np.ndarray,
+    time_step: float,
+) -> np.ndarray:  # fmt: skip
     """(n,) share of their course for which bodies may move along another path than the searched one.
 
-    No point of two touching bodies deviates from that path by more than the pair's `spare` (p,) [m]. It is one of free
-    fall: what contacts bear of a weight counts as no deviation, or bodies at rest on another that slide along it would
-    be held back.
+    No point of two touching bodies deviates from that path by more than `spare_of_pairs` (p,) [m], and none of a body
+    whose path was an expected one by more than EXPECTED of its `spare` (n,) [m]. Other paths are those of free fall:
+    what contacts bear of a weight counts as no deviation, or bodies at rest on another that slide along it would be
+    held back.
     """
     change, falls = course.moves - course.searched, course.falls
     # A surface with normal n bears -(n . f) n of a weight f, a vector in the ball whose diameter is -f.
     linear = np.maximum(lengths(change[:, :3] + 0.5 * falls) - 0.5 * lengths(falls), 0.0)
     astray = np.append(time_step * (linear + reach * lengths(change[:, 3:])), 0.0)
-    share = spare / np.maximum(astray[pairs.body_a] + astray[pairs.body_b], spare)
-    shares = np.ones(len(change) + 1)
+    share = spare_of_pairs / np.maximum(astray[pairs.body_a] + astray[pairs.body_b], spare_of_pairs)
+    most = np.where(course.is_expected, EXPECTED * spare, np.inf)
+    shares = np.append(1.0 / np.maximum(astray[:-1] / most, 1.0), 1.0)
     np.minimum.at(shares, pairs.body_a, share)
     np.minimum.at(shares, pairs.body_b, share)
     return shares[:-1]
