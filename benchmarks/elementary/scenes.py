@@ -517,8 +517,9 @@ def in_bowl() -> Elementary:
 
     def faults(trace: Trace) -> Iterator[str]:
         quarter = 0.5 * math.pi * math.sqrt(length / GRAVITY) * (1.0 + start**2 / 16.0)
-        crosses = np.flatnonzero(trace.places[:, 0, 0] <= 0.0)
-        first = times(trace, duration)[crosses[0]] if len(crosses) else math.inf
+        x = trace.places[:, 0, 0]
+        k = int(np.argmax(x <= 0.0))  # between rows: a step may be a 25th of the quarter
+        first = times(trace, duration)[k] * (1.0 + x[k] / ((k + 1) * (x[k - 1] - x[k]))) if k else math.inf
         yield from is_near("at the bottom after [s]", float(first), quarter, 0.05)
         away = np.sqrt(np.square(trace.places[:, 0] - centre).sum(axis=1))
         if not length - 3e-3 < away.min() <= away.max() < length + 5e-4:

@@ -35,7 +35,7 @@ def test_a_slide_over_seams_loses_nothing_at_other_steps(name: str, step: float)
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("dominoes", "box"), ("dominoes", "brick1"), ("coin", "box"), ("chain", "box")],
+    [("dominoes", "box"), ("dominoes", "brick1"), *((name, "box") for name in ("coin", "chain", "ball in a bowl"))],
 )
 def test_blows_cost_no_time_and_give_no_energy_at_long_steps(name: str, kind: str) -> None:
     """Bodies wait for the rest of a step of 10 ms in which they touch, and make up for it."""
