@@ -92,8 +92,6 @@ BESIDE = 1.1
 # One direction for the whole surfaces is taken if they overlap along it by no more than this times the deepest contact
 # and so many tolerances.
 MOST_TIMES, MORE = 3.0, 2.0
-# Pieces that have moved no farther than so many tolerances since they broke may still interlock.
-IN_PLACE_YET = 25.0
 # Contacts across those added, by the cosine, and no deeper than the tolerance, stay where samples are not asked.
 OTHER = 0.5
 # Who wants more contacts of a pair wants all that were found.
@@ -357,20 +355,15 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     size = min(_longest(boxes[0]), _longest(boxes[1]))
     bound = min(_box_overlap(boxes), wanted.moved)
     likely = MOST_TIMES * deepest + MORE * tolerance
-    # pieces in place interlock: what parts them sideways is no way out
-    is_shallow = is_sampled and deepest <= DEEP * tolerance and wanted.moved <= IN_PLACE_YET * tolerance
-    most = min(likely, wanted.moved) if is_shallow else wanted.moved
-    rules = _Rules(given, along, placings, wanted, boxes, size, most)
+    rules = _Rules(given, along, placings, wanted, boxes, size, wanted.moved)
     parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
     first = found if parted.is_apart else 0
-    if is_shallow and not parted.is_apart:
-        return _LEAVE, bound
     if not parted.is_apart:
         parted = _part((a, b), np.zeros(3), (0, 0), deepest > DEEP * tolerance, rules, planes)
     if not parted.is_apart and wanted.moved < math.inf:
         parted = _part_back((a, b), rules, planes)
     is_long = not parted.is_apart or _along(parted.x, parted.x) > likely * likely
-    if not is_shallow and wanted.moved > likely and is_long:
+    if wanted.moved > likely and is_long:
         whole = _part_whole((a, b), parted, rules, planes)
         if whole.is_apart or not parted.is_apart:
             parted, first = whole, 0
@@ -629,14 +622,28 @@ def _way_out(posed, pairs, overlaps, part, x, rules):
 
     part: the number of the overlap, or _ALL; x (3,) [m]: how far b was moved.
     """
-    (a, b), given, wanted, size = posed, rules.given, rules.wanted, rules.size
-    toward, is_through = np.zeros(3), True
+    toward, length = np.zeros(3), 0.0
     if part != _ALL:
         toward[:] = overlaps.areas[part]
-        length = math.sqrt(toward[0] * toward[0] + toward[1] * toward[1] + toward[2] * toward[2])
-        is_through = not length > THROUGH * overlaps.spreads[part]
-        if not is_through:
+        length = math.sqrt(_along(toward, toward))
+        if length > 0.0:
             toward /= length
+    is_through = part == _ALL or not length > THROUGH * overlaps.spreads[part]
+    n, overlap = _least_way(posed, pairs, (overlaps, part, is_through), toward, x, rules)
+    if is_through and length > 0.0 and not overlap < math.inf:
+        # more of it leaves than enters
+        n, overlap = _least_way(posed, pairs, (overlaps, part, False), toward, x, rules)
+    return n, overlap
+
+
+@kernel
+def _least_way(posed, pairs, which, toward, x, rules):
+    """_way_out of an overlap, which: Overlaps, its number, and whether one body passes right through the other there.
+
+    toward: the unit vector (3,) along which it shrinks fastest.
+    """
+    (a, b), given, wanted, size = posed, rules.given, rules.wanted, rules.size
+    overlaps, part, is_through = which
     ways, tried = np.empty((2 * MOST_TRIED + 1, 3)), 0
     areas, at = _pierced_areas(posed, pairs, overlaps.of_a, part)
     for k in np.argsort(-areas, kind="mergesort"):
