@@ -23,7 +23,7 @@ TIME_STEP = 0.0025
 
 def unsupported(name, curvature, seed, hooks=True):
     scene = with_curvature(load_scene(name), curvature)
-    with Lockstep(scene, Settings(threads=1), seed) as run:
+    with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step), seed) as run:  # as `scene` runs it
         for _ in run:
             pass
         return support_of(run, scene, hooks)
