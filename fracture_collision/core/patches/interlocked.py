@@ -59,9 +59,11 @@ from fracture_collision.core.patches.piercing import (
     do_listed_pierce,
     do_pierce,
     in_order,
+    no_overlaps,
     overlaps_of,
     pierced_of,
     pierced_pairs,
+    triangles_within,
 )
 from fracture_collision.core.patches.shapes import Shapes, triangles_of
 from fracture_collision.core.patches.surface import Surface, make_surface
@@ -82,8 +84,8 @@ SAME = 0.5
 THROUGH = 0.3
 # Overlaps are alike within this share of the tolerance.
 ALIKE = 0.25
-# Those up to this share of the tolerance need no contacts; a translation is longer by the other, so that what it parts
-# is apart.
+# Those up to this share of the tolerance need no contacts; a translation leaves the other more than is needed, so that
+# what it parts is apart.
 LEAST, SLACK = 0.5, 0.1
 # Translations tried, and directions added, at most.
 MOST_TURNS, MOST_ADDED = 4, 8
@@ -302,6 +304,7 @@ class _Planes(NamedTuple):
 
 
 class _Rules(NamedTuple):
+    whole: tuple[Posed, Posed]
     given: np.ndarray  # (c, 3) directions of contacts found
     along: np.ndarray  # (3,) that of the deepest: see close_pairs
     placings: tuple[Placing, Placing]
@@ -317,9 +320,10 @@ class _Parted(NamedTuple):
     used: int  # half-spaces
     x: np.ndarray  # (3,) [m] b's translation
     is_apart: bool  # where b is moved by it: tried
+    begun: int  # half-spaces up to those of the overlaps met first
 
 
-_NOT_PARTED = _Parted(0, np.zeros(3), False)
+_NOT_PARTED = _Parted(0, np.zeros(3), False, 0)
 
 
 @allocating_kernel
@@ -355,28 +359,27 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     size = min(_longest(boxes[0]), _longest(boxes[1]))
     bound = min(_box_overlap(boxes), wanted.moved)
     likely = MOST_TIMES * deepest + MORE * tolerance
-    rules = _Rules(given, along, placings, wanted, boxes, size, wanted.moved)
-    parted = _part((a, b), x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
+    rules = _Rules((a, b), given, along, placings, wanted, boxes, size, MOVED * wanted.moved)
+    parted = _part(x, (found, found), False, rules, planes) if is_asked else _NOT_PARTED
     first = found if parted.is_apart else 0
     if not parted.is_apart:
-        parted = _part((a, b), np.zeros(3), (0, 0), deepest > DEEP * tolerance, rules, planes)
-    if not parted.is_apart and wanted.moved < math.inf:
-        parted = _part_back((a, b), rules, planes)
-    is_long = not parted.is_apart or _along(parted.x, parted.x) > likely * likely
+        parted = _part(np.zeros(3), (0, 0), deepest > DEEP * tolerance, rules, planes)
+    is_whole, is_long = parted.is_apart, not parted.is_apart or _along(parted.x, parted.x) > likely * likely
     if wanted.moved > likely and is_long:
-        whole = _part_whole((a, b), parted, rules, planes)
-        if whole.is_apart or not parted.is_apart:
-            parted, first = whole, 0
-    elif not parted.is_apart:
-        return _LEAVE, bound
+        others = _planes_of(normals[:0], gaps[:0], moving.rotations[moving.j])
+        whole = _part_whole(parted, rules, others)
+        if whole.is_apart or (whole.used > 0 and not parted.is_apart):
+            parted, planes, first, is_whole = whole, others, 0, True
     x = parted.x
     if parted.is_apart:
         bound = min(bound, math.sqrt(_along(x, x)))
-    count = _put_corners((a, b), planes, (first, parted.used), rules, sink)
+    # where no translation parts the two, turning by a little may: every overlap is pushed out on its own
+    rows = first, parted.used if is_whole else parted.begun
+    count = _put_corners(planes, rows, rules, sink)
     if count == 0:
         return _LEAVE, bound
-    if first < found:
-        _mark_those_across(planes, (first, parted.used), given, x, (gaps[begin:end], tolerance), stays[begin:end])
+    if is_whole and first < found:
+        _mark_those_across(planes, rows, given, x, (gaps[begin:end], tolerance), stays[begin:end])
     else:
         stays[begin:end] = True
     room = most_contacts - count
@@ -421,22 +424,29 @@ def _try_contacts(kept, pair, known, tolerance, n):
     """
     (surfaces, lists, slot, left, reach), (given, needs, deepest) = kept, known
     x, is_asked = np.zeros(3), False
-    for opened in (LEAST * tolerance, 0.0):
-        if opened > 0.0 and (len(needs) == 0 or deepest > opened):
+    for opened in (LEAST * tolerance, SLACK * tolerance):
+        if opened > SLACK * tolerance and (len(needs) == 0 or deepest > opened):
             continue
         # samples that are deep in something thin may be past its middle, and contradict each other
-        x, is_possible = least_translation(given, needs + opened)
+        x, is_possible = _satisfying(given, needs, opened)
         is_asked = is_possible and deepest <= DEEP * tolerance
         if not is_asked:
             continue
-        longer = x.copy()
-        _lengthen(longer, SLACK * tolerance)
-        is_listed = left >= 0.0 and left >= _distance(longer, lists.by[slot])
-        if _are_apart(surfaces, pair, longer, n, (lists, slot, is_listed, reach)):
-            return True, True, longer
+        is_listed = left >= 0.0 and left >= _distance(x, lists.by[slot])
+        if _are_apart(surfaces, pair, x, n, (lists, slot, is_listed, reach)):
+            return True, True, x
         if not is_listed:
             left = -1.0  # the list is another one
     return is_asked, False, x
+
+
+@kernel
+def _satisfying(normals, needs, more):
+    """least_translation that leaves so much more [m] than the needs of each, if that is possible."""
+    x, is_possible = least_translation(normals, needs + more)
+    if not is_possible:
+        x, is_possible = least_translation(normals, needs)
+    return x, is_possible
 
 
 @kernel
@@ -475,107 +485,103 @@ def _placings(moving):
 
 
 @kernel
-def _part(posed, x, rows, is_inside, rules, planes):
-    """Add half-spaces until two Posed surfaces are apart: a _Parted.
+def _part(x, rows, is_inside, rules, planes):
+    """Add half-spaces until both surfaces are apart: a _Parted.
 
     x: least translation by those there are; rows: their number, and that of those of contacts found; is_inside: one may
     be inside the other, and pierce nothing.
     """
-    a, b = posed
-    used, first = rows
-    origin, reach, close = x, -1.0, np.empty((0, 2), np.int64)
+    (used, first), begun = rows, rows[0]
+    origin, reach, close, near = x, -1.0, np.empty((0, 2), np.int64), rules.whole
     for turn in range(MOST_TURNS):
-        _lengthen(x, SLACK * rules.wanted.near)
-        there = _shifted(b, x)
         if not _distance(x, origin) <= reach:
             # most are apart at once; those that are not are moved by little from there
             origin, reach = x, turn * rules.wanted.near
-            close = close_pairs(a, there, rules.along, reach)
+            near = _in_common(x, reach, rules)
+            close = close_pairs(near[0], _shifted(near[1], x), rules.along, reach)
+        a, there = near[0], _shifted(near[1], x)
         pairs = pierced_of(a, there, close)
         if len(pairs) == 0:
-            return _Parted(used, x, turn > 0 or not is_inside)
+            return _Parted(used, x, turn > 0 or not is_inside, begun)
         overlaps = overlaps_of(a, there, pairs)
         for k in range(len(overlaps.spreads)):
             n, overlap = _way_out((a, there), pairs, overlaps, k, x, rules)
             if not overlap < math.inf or used == first + MOST_ADDED:
-                return _Parted(used, x, False)
+                return _Parted(used, x, False, begun)
             planes.normals[used], planes.needs[used], planes.at[used] = n, overlap + _along(x, n), x
             used += 1
-        x, is_possible = least_translation(planes.normals[:used], planes.needs[:used])
+            begun += turn == 0
+        x, is_possible = _satisfying(planes.normals[:used], planes.needs[:used], SLACK * rules.wanted.near)
         if not is_possible or _along(x, x) > rules.most * rules.most:
             break
-    return _Parted(used, x, False)
+    return _Parted(used, x, False, begun)
 
 
 @kernel
-def _part_back(posed, rules, planes):
-    """A _Parted of first the direction back to where the two were one, if that is near enough."""
-    a, b = posed
-    its = rules.placings[0]
-    n, place = np.empty(3), its.positions[0]
+def _in_common(x, reach, rules):
+    """What of a and of b, not moved, may meet the other where b is moved by x (3,) and up to `reach` [m] more."""
+    (a, b), by = rules.whole, reach + ONE_PLACE * rules.size
+    box_a, box_b = rules.boxes[0].copy(), rules.boxes[1].copy()
     for d in range(3):
-        n[d] = 0.5 * max(rules.boxes[0][d], rules.boxes[1][d]) + 0.5 * min(rules.boxes[0][3 + d], rules.boxes[1][3 + d])
-    x, y, z = turned_back(its.rotations[0], n[0] - place[0], n[1] - place[1], n[2] - place[2])
-    n[0], n[1], n[2] = n[0] - x, n[1] - y, n[2] - z
-    length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-    if not 0.0 < length <= rules.most:
-        return _NOT_PARTED
-    n /= length
-    overlap = overlap_along(a, b, n, -(1.0 + ONE_PLACE) * length, math.inf, rules.size)
-    planes.normals[0], planes.needs[0], planes.at[0] = n, overlap, np.zeros(3)
-    return _part(posed, n * overlap, (1, 0), False, rules, planes)
+        box_a[d], box_a[3 + d] = box_a[d] - x[d], box_a[3 + d] - x[d]
+        box_b[d], box_b[3 + d] = box_b[d] + x[d], box_b[3 + d] + x[d]
+    of_a = triangles_within(a.triangles, a.corners, box_b, by)
+    of_b = triangles_within(b.triangles, b.corners, box_a, by)
+    return _part_of(a, of_a), _part_of(b, of_b)
 
 
 @kernel
-def _part_whole(posed, parted, rules, planes):
+def _part_whole(parted, rules, planes):
     """A _Parted of first that direction along which whole surfaces overlap least, if that is less than another's."""
     most = rules.most
     if parted.is_apart:
         most = min(most, math.sqrt(_along(parted.x, parted.x)))
-    a, b = posed
     x = np.zeros(3)
-    pairs = pierced_pairs(a, b, rules.along)
-    n, overlap = _way_out(posed, pairs, overlaps_of(a, b, pairs), _ALL, x, rules)
+    near = _in_common(x, 0.0, rules)
+    n, overlap = _least_way(
+        near, pierced_pairs(near[0], near[1], rules.along), (no_overlaps(), _ALL, True), x, x, rules
+    )
     if not overlap < most:
         return _NOT_PARTED
     planes.normals[0], planes.needs[0], planes.at[0] = n, overlap, x
     # faces nearly along the direction have no overlap along it
-    parted = _part(posed, n * overlap, (1, 0), False, rules, planes)
+    x = n * (overlap + SLACK * rules.wanted.near)
+    parted = _part(x, (1, 0), False, rules, planes)
     if parted.is_apart:
         return parted
-    return _Parted(1, n * overlap, False)
+    return _Parted(1, x, False, 1)
 
 
 @kernel
-def _put_corners(posed, planes, rows, rules, sink):
+def _put_corners(planes, rows, rules, sink):
     """Write the corners of the half-spaces in rows (first, end) to a Sink, of each as many; returns how many."""
     count, (first, end) = 0, rows
     for k in range(first, end):
         each = min(max(len(sink.contacts) // (end - first), 1), len(sink.contacts) - count)
         rest = Sink(sink.contacts[count : count + each], sink.ids[count : count + each])
         plane = planes.normals[k], planes.needs[k], planes.at[k]
-        more = _put_points(posed, rules.placings, plane, rules.wanted, rules.size, rest)
+        more = _put_points(plane, rules, rest)
         count = _keep_distinct(sink, count, more, planes.normals[k])
     return count
 
 
 @kernel
-def _put_points(posed, placings, plane, wanted, size, sink):
+def _put_points(plane, rules, sink):
     """Write the corners of the facing surfaces that a half-space is of to a Sink; returns how many.
 
     plane: n, its need [m], b's translation (3,) [m] when it was found.
     """
-    n, need, x = plane
+    (n, need, x), (a, b), wanted, size = plane, rules.whole, rules.wanted, rules.size
     along = _along(x, n)
     if abs(need - along) + abs(along) <= LEAST * wanted.near:
         return 0
     # where other directions move b farther along this one, its corners are apart now, and listed all the same
     near = wanted.near + max(-need, 0.0)
     deepest = -need - ALIKE * wanted.near  # what is deeper is of other overlaps
-    found = facing_points(posed[0], _shifted(posed[1], x), n, (deepest + along, near + along), size)
+    found = facing_points(a, _shifted(b, x), n, (deepest + along, near + along), size)
     now = FacingPoints(found.points, found.gaps - along, found.features)
     patch = listed_patch(
-        now, placings, (0.0, 0.0), n, 0, Wanted(near, wanted.moved, len(sink.contacts)), size
+        now, rules.placings, (0.0, 0.0), n, 0, Wanted(near, wanted.moved, len(sink.contacts)), size
     )  # fmt: skip
     for k in range(len(patch.gaps)):
         # straight on b, then back with it
@@ -618,17 +624,15 @@ def _along(x, n):
 
 @kernel
 def _way_out(posed, pairs, overlaps, part, x, rules):
-    """(direction (3,), how far [m] b must be moved along it to undo one overlap).
+    """(direction (3,), how far [m] b must be moved along it to undo one overlap, of a number).
 
-    part: the number of the overlap, or _ALL; x (3,) [m]: how far b was moved.
+    x (3,) [m]: how far b was moved.
     """
-    toward, length = np.zeros(3), 0.0
-    if part != _ALL:
-        toward[:] = overlaps.areas[part]
-        length = math.sqrt(_along(toward, toward))
-        if length > 0.0:
-            toward /= length
-    is_through = part == _ALL or not length > THROUGH * overlaps.spreads[part]
+    toward = overlaps.areas[part].copy()
+    length = math.sqrt(_along(toward, toward))
+    if length > 0.0:
+        toward /= length
+    is_through = not length > THROUGH * overlaps.spreads[part]
     n, overlap = _least_way(posed, pairs, (overlaps, part, is_through), toward, x, rules)
     if is_through and length > 0.0 and not overlap < math.inf:
         # more of it leaves than enters
@@ -638,7 +642,7 @@ def _way_out(posed, pairs, overlaps, part, x, rules):
 
 @kernel
 def _least_way(posed, pairs, which, toward, x, rules):
-    """_way_out of an overlap, which: Overlaps, its number, and whether one body passes right through the other there.
+    """_way_out of an overlap, or _ALL. which: Overlaps, its number, whether one body passes right through the other.
 
     toward: the unit vector (3,) along which it shrinks fastest.
     """
@@ -659,7 +663,9 @@ def _least_way(posed, pairs, which, toward, x, rules):
         if tried < most and (is_through or n[0] * toward[0] + n[1] * toward[1] + n[2] * toward[2] > SAME):
             tried = _add_new(ways, tried, n[0], n[1], n[2])
     enough = math.inf
-    if not is_through:
+    if is_through:
+        a, b = rules.whole[0], _shifted(rules.whole[1], x)
+    else:
         others = tried
         tried = _add_new(ways, tried, toward[0], toward[1], toward[2])
         a = _part_of(a, np.flatnonzero(overlaps.of_a == part))
@@ -742,14 +748,6 @@ def _shifted(posed, x):
 @inlined_kernel
 def _distance(x, y):
     return math.sqrt((x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2)
-
-
-@inlined_kernel
-def _lengthen(x, by):
-    length = math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
-    if length > 0.0:
-        for d in range(3):
-            x[d] *= 1.0 + by / length
 
 
 @inlined_kernel

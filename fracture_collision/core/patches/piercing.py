@@ -36,6 +36,12 @@ class Overlaps(NamedTuple):
 
 
 @kernel
+def no_overlaps():
+    """Overlaps of surfaces that pierce nothing."""
+    return Overlaps(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))
+
+
+@kernel
 def pierced_pairs(a, b, n):
     """Pairs (k, 2) int64 of triangles of two Posed surfaces of which an edge of one passes through the other.
 

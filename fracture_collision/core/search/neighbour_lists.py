@@ -29,7 +29,7 @@ from fracture_collision.core.memory.rotations import to_other
 # Capacity of a list: samples, and pairs of ridges (ridge_contacts.py).
 MOST_LISTED, MOST_RIDGES = 256, 256
 # Capacity for pairs of triangles that are close (patches/piercing.py).
-MOST_CLOSE = 128
+MOST_CLOSE = 512
 # The same for the one pair per thread that is searched ahead in time (first_touch.py).
 MOST_AHEAD = 4096
 # Lists are made for pairs that move by less than this share of the smaller R in a step.
