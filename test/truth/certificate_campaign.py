@@ -19,6 +19,7 @@ from fracture_collision.world import Settings
 from truth.contact_truth import SHAPES, ContactTruth, PairCheck, Poses, check_pair, pairs_of, piled
 
 COMPLETE = Settings(threads=1, selection="complete")
+SUFFICIENT = Settings(threads=1, surfaces="sampled")  # contacts of whole surfaces are no samples
 SETTINGS = (
     COMPLETE,
     COMPLETE._replace(visit_budget=1_000),
@@ -27,8 +28,8 @@ SETTINGS = (
     COMPLETE._replace(contacts_per_pair=32, penetration_tolerance=0.0, detection_tolerance=0.01),
     COMPLETE._replace(visit_budget=25_000, penetration_tolerance=0.01),
     COMPLETE._replace(contacts_per_pair=4, penetration_tolerance=0.0005, detection_tolerance=0.0),
-    Settings(threads=1),
-    Settings(threads=1, contacts_per_pair=3, deep_contacts_per_pair=5, penetration_tolerance=0.01),
+    SUFFICIENT,
+    SUFFICIENT._replace(contacts_per_pair=3, deep_contacts_per_pair=5, penetration_tolerance=0.01),
 )
 SPREADS = (0.15, 0.3, 0.5)  # [R] standard deviation of the fragments' centres from a common point
 
