@@ -77,7 +77,7 @@ NOT_RUN = {
     r"python -m campaigns\.late_floor": "is a campaign",
     r"python -m benchmarks\.elementary( --engines ours,rapier,mujoco)?": "its scenes are those of test_elementary",
     r"python -m benchmarks\.random_pairs": "its kinds of pairs are those of test_random_pairs",
-    r"python -m benchmarks\.scene_seeds( --seeds 3 --csv docs/scene_seeds\.csv)?": "takes minutes: one scene is run",
+    r"python -m benchmarks\.scene_seeds( --csv docs/scene_seeds\.csv)?": "takes minutes: one scene is run",
     r"python -m benchmarks\.random_drops": "takes half an hour: test_random_pairs runs some",
 }  # fmt: skip
 
