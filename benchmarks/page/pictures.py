@@ -23,7 +23,7 @@ THROUGH = np.radians(20.0)  # the vase stands at 0
 
 
 def smash_plates(person: Person) -> None:
-    for place, fragments in ((PLATES[0], 14), (PLATES[2], 28)):
+    for place, fragments in ((PLATES[0], 14), (PLATES[2], 40)):
         throw_at(person, place)
         person.until(lambda fragments=fragments: person.status.fragments > fragments, "shards")
 
