@@ -113,7 +113,8 @@ def _checkout() -> Path:
     root = Path(__file__).resolve().parents[2]
     if not (root / "benchmarks" / "studies" / "bench.py").is_file():
         raise click.ClickException(
-            f"no benchmarks/ in {root}: it is not installed. Run this in a checkout of the sources, after `make build`."
+            f"no benchmarks/ in {root}: it is not installed. Run this in a checkout of the sources, after"
+            " `make build`."
         )
     if str(root) not in sys.path:
         sys.path.insert(0, str(root))

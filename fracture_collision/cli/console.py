@@ -133,7 +133,9 @@ class ProgressBar:
     def show(self, step: int, steps: int, time: float, fragments: int, contacts: int, word: str = "") -> None:
         """`step` of `steps` are done, `time` [s] is simulated; while `steps` is 0, not known, it shows `word`."""
         now = f"{time:.2f} s, {fragments} fragments move, {contacts} contacts" if steps else ""
-        self._bar.update(self._task, completed=step, total=steps, now=now, description="simulating" if steps else word)
+        self._bar.update(
+            self._task, completed=step, total=steps, now=now, description="simulating" if steps else word
+        )
 
 
 @contextmanager

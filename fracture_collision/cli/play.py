@@ -58,8 +58,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
             console.print(
                 Panel(
                     f"[bold]{run.address}[/bold]\n\nROS_DOMAIN_ID={run.domain_id}; Ctrl-C ends all nodes",
-                    title=f"{scene}, to smash",
-                    expand=False,
+                    title=f"{scene}, to smash", expand=False,
                 )  # fmt: skip
             )
             if cold:

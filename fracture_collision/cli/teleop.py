@@ -27,7 +27,9 @@ WORDS = {
 
 
 @click.command(epilog=KEYS)
-@click.option("--speed", type=click.FloatRange(0.05, 4.0), default=1.0, show_default=True, help="Initial speed in m/s.")
+@click.option(
+    "--speed", type=click.FloatRange(0.05, 4.0), default=1.0, show_default=True, help="Initial speed in m/s."
+)
 @click.option("--namespace", default="", help="Namespace of the live scene's topics.")
 def teleop(speed: float, namespace: str) -> None:
     """Drive the hammer of a live scene (`fracture-collision play`) by keys.

@@ -132,7 +132,9 @@ def draw_seeds(
     return points[chosen] + 0.5 * edge_length * generator.uniform(-1.0, 1.0, (count, 3))
 
 
-def draw_warp(points: np.ndarray, seed_count: int, curvature: float, generator: np.random.Generator) -> Warp | None:
+def draw_warp(
+    points: np.ndarray, seed_count: int, curvature: float, generator: np.random.Generator
+) -> Warp | None:
     """Three waves as long as two cells; the amplitude stays below the fold, |A| |K| < 1. None for flat cracks."""
     if curvature <= 0.0 or seed_count < 2:
         return None

@@ -52,4 +52,6 @@ def _connected_over_faces(tetrahedra: np.ndarray, parts: np.ndarray, of_face: np
     mine = of_face[face]  # (f, j)
     value = parts[tetrahedron[:, None], mine]
     theirs = (parts[other][:, None, :] == value[:, :, None]).argmax(axis=2)
-    return joined((tetrahedron[:, None] * count + mine).ravel(), (other[:, None] * count + theirs).ravel(), parts.size)
+    return joined(
+        (tetrahedron[:, None] * count + mine).ravel(), (other[:, None] * count + theirs).ravel(), parts.size
+    )

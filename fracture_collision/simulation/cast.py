@@ -131,4 +131,6 @@ class Cast:
 
     def _enter(self, body_id: int) -> None:
         body = self.body_of[body_id]
-        self.waiting[body_id] = FrameState(body.position, body.orientation, body.linear_velocity, body.angular_velocity)
+        self.waiting[body_id] = FrameState(
+            body.position, body.orientation, body.linear_velocity, body.angular_velocity
+        )

@@ -89,7 +89,9 @@ def carried_contacts(waited: Waited, after: BodyStates, settings: SolverSettings
     gaps = gaps + np.where(gaps > tolerance, CLOSER * tolerance, 0.0)
     moved = contacts._replace(points_a=points[0].ravel(), points_b=points[1].ravel(), gaps=gaps)
     moved = chosen_contacts(moved, kept, np.ones(len(counts), bool))
-    return moved, pairs._replace(body_a=rows[pairs.body_a], body_b=rows[pairs.body_b], rest_gaps=pairs.rest_gaps[kept])
+    return moved, pairs._replace(
+        body_a=rows[pairs.body_a], body_b=rows[pairs.body_b], rest_gaps=pairs.rest_gaps[kept]
+    )
 
 
 def extra_times(

@@ -428,7 +428,9 @@ class Simulation:
         fallen = -0.5 * spans[:, None] * gravity
         work = 0.5 * bodies.masses * spans * spans * float((gravity * gravity).sum())  # [J] by which they rise
         if hit.any() and work.any():
-            had, have = (kinetic_energies(bodies.masses, bodies.inertias, u) for u in (before, solution.velocities))
+            had, have = (
+                kinetic_energies(bodies.masses, bodies.inertias, u) for u in (before, solution.velocities)
+            )
             lost = had - have + bodies.masses * spans * dots(solution.velocities[:, :3], gravity)
             fallen[hit] *= np.clip(lost / work, 0.0, 1.0)[hit, None]
         turned[hit] = 0.0

@@ -37,7 +37,9 @@ class StepReport(NamedTuple):
     hand_energy: float  # [J] added by hand, hammer and arm; negative where they removed some
 
 
-def fragment_states(step: int, sequence: int, moving: BodyStates, others: Mapping[int, FrameState]) -> FragmentStates:
+def fragment_states(
+    step: int, sequence: int, moving: BodyStates, others: Mapping[int, FrameState]
+) -> FragmentStates:
     """States of the bodies in motion and of the `others`, by fragment id, that are not in the engine."""
     ids = np.concatenate((moving.fragment_ids, np.array(list(others), dtype=np.uint32)))
     order = np.argsort(ids, kind="stable")

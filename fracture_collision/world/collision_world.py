@@ -275,7 +275,9 @@ class CollisionWorld:
         centers = self._registry.centers_of_mass(here.ids)
         return motion_of(fragment.kind, fragment.box, placed, centers, (here.linear, here.angular), time)
 
-    def _answer_again(self, checked: CheckedStates, asked: tuple[bytes, ...]) -> ContactConstraintArray | None:
+    def _answer_again(
+        self, checked: CheckedStates, asked: tuple[bytes, ...]
+    ) -> ContactConstraintArray | None:
         """The last answer, if the states equal the last ones; else None."""
         last = self._answered
         if last.answer is None or last[:3] != self._asked_of() or last.asked != asked:

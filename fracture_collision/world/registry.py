@@ -21,6 +21,7 @@ _NORMALS = dict(zip(NORMALS, (FACING, NEAREST), strict=True))
 _TRAVERSAL = dict(zip(TRAVERSALS, (ALTERNATING, QUEUE), strict=True))
 
 
+
 class Registry:
     """Adds and removes bodies, applies events in order; reclaiming a removed body costs its size, amortized."""
 

@@ -243,7 +243,9 @@ class CollisionGeometry:
         if self._field == AVERAGED:
             interior = prepared.interior[0]
             neighbours = interior.neighbours_begin, interior.neighbours
-            update_averaged_field(self.pools, prepared.mesh.nodes, neighbours, broken, touched.rows, cut.first_plane)
+            update_averaged_field(
+                self.pools, prepared.mesh.nodes, neighbours, broken, touched.rows, cut.first_plane
+            )
         self._find_ridges(broken.first, broken.end)
         return broken.first
 

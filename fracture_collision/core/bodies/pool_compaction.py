@@ -102,12 +102,9 @@ def compact(
     triangles = _compact_triangles(tables, surfaces)
     new_meshes = [
         each._replace(
-            number=int(mesh_moves.meshes.of(each.number)),
-            node=int(mesh_moves.nodes.of(each.node)),
-            tet=int(mesh_moves.tetrahedra.of(each.tet)),
-            edge=int(mesh_moves.edges.of(each.edge)),
-            tree=_moved_tree(each.tree, trees, leaves),
-            cells=_moved_cells(each.cells[None], words)[0],
+            number=int(mesh_moves.meshes.of(each.number)), node=int(mesh_moves.nodes.of(each.node)),
+            tet=int(mesh_moves.tetrahedra.of(each.tet)), edge=int(mesh_moves.edges.of(each.edge)),
+            tree=_moved_tree(each.tree, trees, leaves), cells=_moved_cells(each.cells[None], words)[0],
         )  # fmt: skip
         for each in meshes
     ]
@@ -238,11 +235,8 @@ def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
     table["first"].replace(
         np.column_stack(
             [
-                moves.nodes.of(first[:, FIRST_NODE]),
-                moves.edges.of(first[:, FIRST_EDGE]),
-                first[:, NODES],
-                moves.tetrahedra.of(first[:, FIRST_TETRAHEDRON]),
-                first[:, EDGES],
+                moves.nodes.of(first[:, FIRST_NODE]), moves.edges.of(first[:, FIRST_EDGE]), first[:, NODES],
+                moves.tetrahedra.of(first[:, FIRST_TETRAHEDRON]), first[:, EDGES],
             ]
         )
     )

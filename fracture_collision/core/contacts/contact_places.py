@@ -22,7 +22,9 @@ class WorldContacts(NamedTuple):
 
 def make_world_contacts(n: int) -> WorldContacts:
     """Columns for n contacts, not initialized."""
-    return WorldContacts(np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((n, 2), np.int64))
+    return WorldContacts(
+        np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty((n, 2), np.int64)
+    )
 
 
 @inlined_kernel

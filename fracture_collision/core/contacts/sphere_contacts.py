@@ -120,7 +120,9 @@ def sphere_contacts(pools, pair, number, rule, most_within, sink, scratch):
                 found += 1
         kept = found
     if found > min(rule.wanted, rule.limit):
-        kept, left_out = _choose(places.contacts[:found], places.ids[:found], rule.wanted, rule.epsilon, rule.limit)
+        kept, left_out = _choose(
+            places.contacts[:found], places.ids[:found], rule.wanted, rule.epsilon, rule.limit
+        )
         bound, cut = max(bound, left_out), cut or left_out > rule.epsilon
     for k in range(min(kept, len(contacts))):
         for c in range(contacts.shape[1]):

@@ -120,7 +120,9 @@ def find_ridges(triangles, radius, out):
             tx, ty, tz = tx / length, ty / length, tz / length
             x, y, z = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
             place = _hash(p[0] + q[0], p[1] + q[1], p[2] + q[2]) & (places - 1)
-            while seen_at[place] >= 0 and not (is_open[seen_at[place]] and _is_reverse(seen[seen_at[place]], p, q)):
+            while seen_at[place] >= 0 and not (
+                is_open[seen_at[place]] and _is_reverse(seen[seen_at[place]], p, q)
+            ):
                 place = (place + 1) & (places - 1)
             if seen_at[place] < 0:
                 seen_at[place], r = count, seen[count]
@@ -161,7 +163,9 @@ def _normal(c):
 
 @inlined_kernel
 def _is_reverse(row, p, q):
-    return row[0] == q[0] and row[1] == q[1] and row[2] == q[2] and row[3] == p[0] and row[4] == p[1] and row[5] == p[2]
+    return (
+        row[0] == q[0] and row[1] == q[1] and row[2] == q[2] and row[3] == p[0] and row[4] == p[1] and row[5] == p[2]
+    )
 
 
 @inlined_kernel

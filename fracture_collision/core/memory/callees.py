@@ -89,9 +89,7 @@ class CalleeLowering(NativeLowering):
         super().run_pass(state)
         if not flags.nrt and not flags.forceinline:
             # LLVM takes the many arguments of a call for its cost, and would inline functions of any size, anywhere.
-            state.library._final_module.get_function(state["cr"].fndesc.llvm_func_name).add_function_attribute(
-                "noinline"
-            )
+            state.library._final_module.get_function(state["cr"].fndesc.llvm_func_name).add_function_attribute("noinline")
         state.library.finalize()
         key = CallableFromKernels()
         state.targetctx.insert_user_function(key, state["cr"].fndesc, [state.library])

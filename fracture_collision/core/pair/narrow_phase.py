@@ -283,7 +283,9 @@ def query_pairs(
             is_limited = (shares != UNSHARED) & (shares < most_visits(pools, step.rows, step.pairs))
             listed = np.where(is_limited, -1, slots)
     share = limits.further_visits // (2 * max(p, 1))
-    search = _Search(scene, rule, _Work(moved, shares, np.full(p, share), lists, listed, known), limits, scratch, crew)
+    search = _Search(
+        scene, rule, _Work(moved, shares, np.full(p, share), lists, listed, known), limits, scratch, crew
+    )
     counts, bounds, visits, exhausted = search.out.counts, search.out.bounds, search.out.visits, search.out.exhausted
     poses = pose_bits(step.rotations, step.positions)
     if before is not None and lists is not NO_LISTS and before.answer.stamp == scene.stamp:
@@ -316,7 +318,9 @@ def query_pairs(
     slots[cut] = -1  # their second share may be smaller at the next step
     slots[search.out.is_ahead] = -1  # their look-ahead contacts hold for this step only
     index_of_row, pair_of_slot = indices_of_kept(step.rows, slots, len(lists.counts), found.exhausted)
-    answer = KeptAnswer(scene.stamp, index_of_row, poses, pair_of_slot, searched, shares, share, offsets, found)
+    answer = KeptAnswer(
+        scene.stamp, index_of_row, poses, pair_of_slot, searched, shares, share, offsets, found
+    )
     return found, Remembered(lists, answer)
 
 

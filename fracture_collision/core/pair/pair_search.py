@@ -178,7 +178,9 @@ def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
             lists.reach[row] = max(reach, clear)
             keep_pose(pair.rotation, pair.translation, lists.listed_at[row])
             if slot.for_motion and count == 0:
-                made = Listing(reach, ahead, scratch.any_way, listed, places, ridges[:crossings], toward, rule.epsilon)
+                made = Listing(
+                    reach, ahead, scratch.any_way, listed, places, ridges[:crossings], toward, rule.epsilon
+                )
                 clear = min(_left_of(geometry, pair, rule, made, samples, scratch), lists.reach[row])
     return Found(count, bound, visits, _ended(count, rule), clear)
 

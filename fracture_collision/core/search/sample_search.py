@@ -45,8 +45,6 @@ from fracture_collision.core.tree.sample_leaves import leaves_of, sample_about_m
 
 # If a pair has moved by less than this share of R, the search for a sample starts where the sample was.
 HOME_SHARE = 0.1
-
-
 @inlined_kernel
 def may_search(pools, a, b):
     """Whether `search_samples` supports a pair."""
@@ -146,7 +144,9 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
     crossings = 0
     if rule.most > 0 and have_ridges(edges, a, b):
         separation = Separation(beyond_b, beyond_a, apart, slack)
-        count, deep, crossings = add_crossings(pools, edges, pair, rule, listing, separation, (count, deep), scratch)
+        count, deep, crossings = add_crossings(
+            pools, edges, pair, rule, listing, separation, (count, deep), scratch
+        )
     chosen, bound = choose_contacts(pools, pair, rule, slack, (count, deep), sink, scratch)
     return chosen, bound, visits, samples, crossings, 0.0
 
@@ -214,6 +214,8 @@ def query_listed(pools, edges, pair, rule, listing, sink, scratch):
     if rule.most > 0 and len(listing.ridges) > 0:
         apart = displacement(pools, pair, IN_PLACE) if one_body else math.inf
         separation = Separation(NO_PLANE, NO_PLANE, apart, slack)
-        count, deep = add_listed_crossings(pools, edges, pair, rule, listing, separation, (count, deep), scratch)
+        count, deep = add_listed_crossings(
+            pools, edges, pair, rule, listing, separation, (count, deep), scratch
+        )
     chosen, bound = choose_contacts(pools, pair, rule, slack, (count, deep), sink, scratch)
     return chosen, bound, visits

@@ -231,10 +231,9 @@ def _is_beyond(points, ball, n, offset, slack):
 
 @inlined_kernel
 def _least_of_three(p, nx, ny, nz, offset):
-    return (
-        min(nx * p[0] + ny * p[1] + nz * p[2], nx * p[3] + ny * p[4] + nz * p[5], nx * p[6] + ny * p[7] + nz * p[8])
-        - offset
-    )
+    return min(
+        nx * p[0] + ny * p[1] + nz * p[2], nx * p[3] + ny * p[4] + nz * p[5], nx * p[6] + ny * p[7] + nz * p[8]
+    ) - offset
 
 
 @inlined_kernel

@@ -111,11 +111,15 @@ def judge_surfaces(pools, elements, pair, deepest, normal, epsilon, scratch):
                 ball = middle_of(p)
                 if moved_triangle_avoids(
                     pools, other, near, p, along(way, s), ball, corner_slack, scratch
-                ) or moved_triangle_avoids(pools, other, near, p, along(inward(p), s), ball, corner_slack, scratch):
+                ) or moved_triangle_avoids(
+                    pools, other, near, p, along(inward(p), s), ball, corner_slack, scratch
+                ):
                     bound = max(bound, s)
                     continue
                 margins = Margins(shown, listed, FINEST * epsilon, MOST_ASKED - asked)
-                most, depth, more = search_triangle(pools, other, deepest, margins, way, corner_slack, deeper, scratch)
+                most, depth, more = search_triangle(
+                    pools, other, deepest, margins, way, corner_slack, deeper, scratch
+                )
                 bound, asked, count = max(bound, most), asked + more, -1  # the search overwrites them
                 if depth > deepest:
                     deepest, side_of, piece_of, triangle_of = depth, side, piece, k

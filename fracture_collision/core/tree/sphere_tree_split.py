@@ -87,7 +87,9 @@ def split_sphere_tree(tree, fragment_of_entry, fragments, added, ordered, out):
     )  # fmt: skip
     order, bounds = _grouped(added.parts, fragments)
     q = len(points)
-    new = _New(np.empty(q, np.int32), np.empty(q), np.empty(q, np.int32), np.empty(q), np.empty(q), np.empty(q))
+    new = _New(
+        np.empty(q, np.int32), np.empty(q), np.empty(q, np.int32), np.empty(q), np.empty(q), np.empty(q)
+    )
     leaf_of = np.empty(parents.max() + 1 if len(parents) else 0, np.int32)  # by mesh node, up to the largest parent
     begin = np.zeros(fragments + 1, np.int64)
     for f in range(fragments):

@@ -57,7 +57,9 @@ def take_with_origin(subscription: Subscription) -> tuple[bytes, Origin] | None:
 
 
 class _Allocator(ctypes.Structure):  # rcutils_allocator_t
-    _fields_ = [(name, ctypes.c_void_p) for name in ("allocate", "deallocate", "reallocate", "zero_allocate", "state")]
+    _fields_ = [
+        (name, ctypes.c_void_p) for name in ("allocate", "deallocate", "reallocate", "zero_allocate", "state")
+    ]
 
 
 class _SerializedMessage(ctypes.Structure):  # rcutils_uint8_array_t

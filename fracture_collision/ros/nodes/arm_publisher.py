@@ -52,10 +52,8 @@ class ArmPublisher:
         """Publishes the state of the joints and the frames of the links."""
         self._joints.publish(
             JointState(
-                header=Header(stamp=header_of(head).stamp),
-                name=list(control.limits.names),
-                position=control.angles.tolist(),
-                velocity=control.speeds.tolist(),
+                header=Header(stamp=header_of(head).stamp), name=list(control.limits.names),
+                position=control.angles.tolist(), velocity=control.speeds.tolist(),
             )  # fmt: skip
         )
         if self._tf is None or self._kinematics is None or head == self._said:
@@ -75,7 +73,9 @@ class ArmPublisher:
         return self._node.create_publisher(topic.message_class, topic.name, topic.qos)
 
 
-def _transform(head: Heading, parent: str, child: str, place: np.ndarray, turn: np.ndarray) -> TransformStamped:
+def _transform(
+    head: Heading, parent: str, child: str, place: np.ndarray, turn: np.ndarray
+) -> TransformStamped:
     x, y, z = map(float, place)
     i, j, k, w = map(float, turn)
     return TransformStamped(

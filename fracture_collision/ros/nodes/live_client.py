@@ -45,15 +45,14 @@ class LiveClient:
         heard = all(each.get_subscription_count() > 0 for each in said)
         return heard and all(each.service_is_ready() for each in self._services)
 
-    def throw(self, position: Vector, velocity: Vector, radius: float = 0.04, density: float = 2000.0) -> None:
+    def throw(
+        self, position: Vector, velocity: Vector, radius: float = 0.04, density: float = 2000.0
+    ) -> None:
         """Arguments as in ThrowBall.msg."""
         self._balls.publish(
             ThrowBall(
-                header=Header(frame_id="world"),
-                position=_point(position),
-                velocity=_vector(velocity),
-                radius=float(radius),
-                density=float(density),
+                header=Header(frame_id="world"), position=_point(position), velocity=_vector(velocity),
+                radius=float(radius), density=float(density),
             )  # fmt: skip
         )
 
@@ -61,10 +60,7 @@ class LiveClient:
         """Arguments as in HandTarget.msg."""
         self._hand.publish(
             HandTarget(
-                header=Header(frame_id="world"),
-                run_id=run_id,
-                fragment_id=fragment_id,
-                grip=_point(grip),
+                header=Header(frame_id="world"), run_id=run_id, fragment_id=fragment_id, grip=_point(grip),
                 target=_point(target),
             )  # fmt: skip
         )

@@ -41,7 +41,9 @@ PAUSE_LOOK = 0.05  # [s] between two checks while paused
 # [s] If a run falls further behind the clock, it drops the rest of the lag: nothing is gained by catching up.
 MOST_BEHIND = 0.1
 RATE_WINDOW = 1.0  # [s] over which the achieved rate is measured
-RATE = Declaration("rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0), fixed=False)
+RATE = Declaration(
+    "rate", 1.0, "simulated time over real time; 0.1: slow motion", Range(0.01, 10.0), fixed=False
+)
 NEXT_SCENE = Declaration(
     "next_scene", "", "scene of the next reset, a name in config/scenes or of an upload; '': the same", fixed=False
 )

@@ -46,21 +46,15 @@ class Role(NamedTuple):
 ROLES = (
     Role("collision_node", interfaces.COLLISION.publishes, interfaces.COLLISION.subscribes),
     Role(
-        "simulator_node",
-        interfaces.SIMULATOR.publishes,
-        interfaces.SIMULATOR.subscribes,
+        "simulator_node", interfaces.SIMULATOR.publishes, interfaces.SIMULATOR.subscribes,
         calls=("set_parameters",),  # its time step, as lookahead
     ),
     Role(
-        "recorder_node",
-        subscribes=interfaces.RECORDER.subscribes,
-        also_subscribes=(PARAMETER_EVENTS,),
+        "recorder_node", subscribes=interfaces.RECORDER.subscribes, also_subscribes=(PARAMETER_EVENTS,),
         calls=("get_parameters",),
     ),
     Role(
-        "viewer",
-        subscribes=(*qos.TOPICS, qos.DIAGNOSTICS, *_SHOWN),
-        also_subscribes=(PARAMETER_EVENTS,),
+        "viewer", subscribes=(*qos.TOPICS, qos.DIAGNOSTICS, *_SHOWN), also_subscribes=(PARAMETER_EVENTS,),
         calls=NODE_SERVICES,
     ),
 )

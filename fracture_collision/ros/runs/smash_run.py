@@ -60,7 +60,6 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
     time_step = load_scene(scene).time_step
     started = time.monotonic()
     with run_domain() as domain_id, ExitStack() as processes:
-
         def start(module: str, parameters: dict[str, Any], stdout: int | None = None) -> NodeProcess:
             process = NodeProcess(module, parameters, domain_id, logs / f"{module}.log", stdout)
             processes.callback(process.stop)

@@ -84,7 +84,9 @@ class ArmControl:
         require_within(self.limits, goal)
         self._goal = goal
 
-    def pull(self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray) -> tuple[np.ndarray, float]:
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
         """Additions in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
         rows = np.searchsorted(states.fragment_ids, self._own[1:])
         h, settings = time_step, self._settings
@@ -154,7 +156,9 @@ def _turn_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     return rotation_vectors(quaternion_products(after, INVERSE * before))
 
 
-def _work(masses: np.ndarray, inertias: np.ndarray, before: np.ndarray, kicks: np.ndarray, fall: np.ndarray) -> float:
+def _work(
+    masses: np.ndarray, inertias: np.ndarray, before: np.ndarray, kicks: np.ndarray, fall: np.ndarray
+) -> float:
     """Kinetic and potential energy [J] that `kicks` add to bodies to which gravity adds `fall` (3,) [m/s]."""
     after = before + kicks
     after[:, :3] += fall

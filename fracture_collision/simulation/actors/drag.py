@@ -93,7 +93,9 @@ class Drag:
         if self._grip is not None and self._grip.fragment_id == fragment_id:
             self._grip = self._grip._replace(fragment_id=self._breakable[body_id].owner(self._grip.node))
 
-    def pull(self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray) -> tuple[np.ndarray, float]:
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
         """What the hand adds in the step at `time` [s]: to all velocities, (n, 6), and to the energy [J]."""
         if self._track is not None:
             self._follow(self._track, time, states)

@@ -29,7 +29,9 @@ class Hammer:
         """Move with `velocity` (3,) [m/s], world axes, until the next command."""
         self._velocity = np.array(velocity, np.float64)
 
-    def pull(self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray) -> tuple[np.ndarray, float]:
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
         """Additions in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
         pushes = np.zeros((len(states.fragment_ids), 6))
         i = int(np.searchsorted(states.fragment_ids, self.fragment_id))

@@ -38,7 +38,9 @@ def free_velocities(velocities, inertias, gravity, spans):
     for i in range(len(velocities)):
         for k in range(3):
             result[i, k] += spans[i] * gravity[k]
-        spin = _spin_after((velocities[i, 3], velocities[i, 4], velocities[i, 5]), _columns(inertias[i]), spans[i])
+        spin = _spin_after(
+            (velocities[i, 3], velocities[i, 4], velocities[i, 5]), _columns(inertias[i]), spans[i]
+        )
         result[i, 3], result[i, 4], result[i, 5] = spin
     return result
 
@@ -88,7 +90,9 @@ def _spin_after_part(before, inertia, time_step):
     for _ in range(NEWTON_STEPS):
         middle = _sum(0.5, before, 0.5, spin)
         middle_momentum = _times(inertia, middle)
-        residual = _sum(1.0, _times(inertia, _sum(1.0, spin, -1.0, before)), time_step, _cross(middle, middle_momentum))
+        residual = _sum(
+            1.0, _times(inertia, _sum(1.0, spin, -1.0, before)), time_step, _cross(middle, middle_momentum)
+        )
         size = math.sqrt(_dot(residual, residual))
         if size <= CONVERGED * scale:
             return spin, True

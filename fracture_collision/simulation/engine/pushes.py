@@ -13,7 +13,9 @@ from fracture_collision.simulation.engine.engine import BodyStates, ByFragment
 class Pusher(Protocol):
     """An actor outside the scene that pushes bodies in it."""
 
-    def pull(self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray) -> tuple[np.ndarray, float]:
+    def pull(
+        self, states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+    ) -> tuple[np.ndarray, float]:
         """Its additions in the step at `time` [s]: to all velocities, (n, 6) [m/s, rad/s], and to the energy [J]."""
 
 
@@ -49,7 +51,9 @@ def planned(fragment_ids: np.ndarray, pushes: Pushes, taken: ByFragment) -> Plan
     return Planned(ByFragment(fragment_ids, pushes.velocities), pushes.energy, left)
 
 
-def pushes_of(pushers: list[Pusher], states: BodyStates, time: float, time_step: float, gravity: np.ndarray) -> Pushes:
+def pushes_of(
+    pushers: list[Pusher], states: BodyStates, time: float, time_step: float, gravity: np.ndarray
+) -> Pushes:
     """Sum over all pushers in the step at `time` [s]."""
     velocities, energy = np.zeros((len(states.fragment_ids), 6)), 0.0
     for pusher in pushers:

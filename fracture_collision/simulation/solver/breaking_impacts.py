@@ -42,7 +42,9 @@ def solve_with_strengths(
         share = np.repeat(np.minimum(share[pairs.body_a], share[pairs.body_b]), counts)
         limits = np.where(share < 1.0, share * solution.normal_impulses, np.inf)
         breaks = loads > strengths
-        capped = solve_contacts(bodies, contacts, pairs, solution.warm_start, settings, Again(breaks, limits, solution))
+        capped = solve_contacts(
+            bodies, contacts, pairs, solution.warm_start, settings, Again(breaks, limits, solution)
+        )
         # No body enters a fragment before it has broken: in this step poses move as if it held. And the impact
         # point follows from the uncapped impulses that broke it.
         solution = capped._replace(

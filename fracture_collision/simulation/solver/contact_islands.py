@@ -139,7 +139,9 @@ def solve_islands(islands, bodies, contacts, settings, again, result):
             continue
         for k in range(members.size):
             local[members[k]] = k
-        rows, surfaces, gaps, against = _rows_of_island(members, pairs, local, bodies, contacts, settings)
+        rows, surfaces, gaps, against = _rows_of_island(
+            members, pairs, local, bodies, contacts, settings
+        )
         impulses, rolling = _impulses_of_island(pairs, rows, contacts, result)
         before, u = np.zeros((2, members.size + 1, 6))
         for k in range(members.size):
@@ -204,7 +206,9 @@ def _rows_of_island(members, pairs, local, bodies, contacts, settings):
             records[begin[k] : begin[k + 1]], contacts.gaps[first : contacts.begin[pair + 1]], both_move, center_a,
             center_b, DEEP * settings.rest_gap * contacts.sizes[pair], against[begin[k] : begin[k + 1]],
         )  # fmt: skip
-    rows = Rows(begin, body_a, body_b, masses, inertias, inverse_masses, inverse_inertias, records, rolling_masses)
+    rows = Rows(
+        begin, body_a, body_b, masses, inertias, inverse_masses, inverse_inertias, records, rolling_masses
+    )
     return rows, Surfaces(friction, rolling_arm, limits), gaps, against
 
 

@@ -34,7 +34,9 @@ def shares_side_by_side(shares, motion, searched, boxes, spare):
     for i in range(n):
         # One that stops is missed where it would have been, and so is one that a blow has stopped.
         for u in (motion.velocities[i], searched[i]):
-            way = motion.time_step * (length(u[0], u[1], u[2]) + length(u[3], u[4], u[5]) * _reach(boxes.halves[i]))
+            way = motion.time_step * (
+                length(u[0], u[1], u[2]) + length(u[3], u[4], u[5]) * _reach(boxes.halves[i])
+            )
             ways[i] = max(ways[i], way)
     changed = True
     while changed:

@@ -72,7 +72,9 @@ class ContactLayers:
         if words != self._said:
             self._words.content = self._said = words
 
-    def _layers(self, contacts: ContactConstraintArray, centre: Centre) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def _layers(
+        self, contacts: ContactConstraintArray, centre: Centre
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         on = {name for name, switch in self._switches.items() if switch.value}
         layers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         a, b = contacts.points_a.reshape(-1, 3), contacts.points_b.reshape(-1, 3)

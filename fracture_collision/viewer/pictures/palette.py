@@ -18,7 +18,9 @@ ARM, ARM_COLOUR = "arm ", (0.55, 0.56, 0.55)  # how the names of a robot arm's p
 STATIC_COLOURS = ((0.46, 0.29, 0.16), (0.34, 0.21, 0.12), (0.62, 0.60, 0.56), (0.40, 0.42, 0.44))
 # Gap [m] -> display colour: penetration red, touching yellow, about to touch green.
 GAP_SCALE = 5e-4  # [m] at this gap or more the colour is saturated
-PENETRATING, TOUCHING, APART = (np.array(colour) / 255.0 for colour in ((226, 26, 28), (250, 214, 40), (50, 180, 90)))
+PENETRATING, TOUCHING, APART = (
+    np.array(colour) / 255.0 for colour in ((226, 26, 28), (250, 214, 40), (50, 180, 90))
+)
 GLAZE_SHINE, PLAIN_SHINE, POLISH_SHINE = 0.35, 0.06, 0.6
 
 
@@ -80,7 +82,9 @@ class Palette:
 def gap_colours(gaps: np.ndarray) -> np.ndarray:
     """RGB (n, 3) of gaps (n,) [m], 0..1 in display values."""
     share = np.clip(gaps / GAP_SCALE, -1.0, 1.0)[:, None]
-    return np.where(share < 0.0, TOUCHING - share * (PENETRATING - TOUCHING), TOUCHING + share * (APART - TOUCHING))
+    return np.where(
+        share < 0.0, TOUCHING - share * (PENETRATING - TOUCHING), TOUCHING + share * (APART - TOUCHING)
+    )
 
 
 def display_colour(linear: tuple[float, float, float]) -> tuple[float, float, float]:
