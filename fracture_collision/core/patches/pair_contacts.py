@@ -11,7 +11,7 @@ from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_
 from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.lookahead.motion import MOST_TURN, put_pose
 from fracture_collision.core.memory.compiled import allocating_kernel, inlined_kernel, kernel
-from fracture_collision.core.memory.rotations import relative_pose, rotated, turned_back
+from fracture_collision.core.memory.rotations import relative_pose, rotated, to_other, turned_back
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_PATCHES
 from fracture_collision.core.patches.facing_points import CROSSING, Posed, facing_points
 from fracture_collision.core.patches.shapes import hull_of, surface_of
@@ -168,20 +168,26 @@ def listed_patch(found, placings, at, n, more, wanted, size):
     least = np.empty(count)
     order, numbers = np.empty(count, np.int64), np.empty(count, np.int64)
     used = 0
+    undone_a, undone_b = _undone(placings[0], share), _undone(placings[1], share)
+    ways = _ways_at_end(placings, n)
     for k in range(count):
-        p, gap = found.points[k], found.gaps[k]
+        x, y, z, gap = found.points[k, 0], found.points[k, 1], found.points[k, 2], found.gaps[k]
         if gap < -(MOVED * moved + ONE_PLACE * size):
             continue
-        of_a, of_b = _local(placings[0], p, share), _local(placings[1], p + gap * n, share)
-        least[used] = min(gap, _gap_at_end(placings, of_a, of_b, n))
+        of_a = _local(undone_a, x, y, z)
+        of_b = _local(undone_b, x + gap * n[0], y + gap * n[1], z + gap * n[2])
+        least[used] = min(gap, _gap_at_end(placings, of_a, of_b, ways))
         if least[used] > tolerance:
             continue
         touches = touches or gap <= tolerance or more == 0
-        q = p + gap * n
+        p, q = points[used], others[used]
+        p[0], p[1], p[2] = x, y, z
+        q[0], q[1], q[2] = x + gap * n[0], y + gap * n[1], z + gap * n[2]
         if share > 0.0:
-            p, q = _placed(placings[0], 0, of_a), _placed(placings[1], 0, of_b)
+            p[0], p[1], p[2] = _placed(placings[0], 0, of_a)
+            q[0], q[1], q[2] = _placed(placings[1], 0, of_b)
             gap = (q[0] - p[0]) * n[0] + (q[1] - p[1]) * n[1] + (q[2] - p[2]) * n[2]
-        points[used], others[used], gaps[used] = p, q, gap
+        gaps[used] = gap
         kind, i, j = found.features[k]
         # crossings after corners, those of b before those of a
         numbers[used] = (np.int64(kind) << 56) + (_CROSSING_STRIDE * i + j if kind == CROSSING else i)
@@ -353,10 +359,9 @@ def _mapped(points, rotation, position):
 
 
 @kernel
-def _local(placing, p, share):
-    """Point p (3,) in the frame of a fragment, to which it is fixed when it is there, at a share of the part."""
-    m, t = _mixed(placing, share)
-    x, y, z = p[0] - t[0], p[1] - t[1], p[2] - t[2]
+def _undone(placing, share):
+    """What undoes the map of _mixed: (cofactors (3, 3), determinant, offset (3,))."""
+    m, offset = _mixed(placing, share)
     # by Cramer's rule: the mixed matrix is near a rotation
     c = np.empty((3, 3))
     for d in range(3):
@@ -364,25 +369,43 @@ def _local(placing, p, share):
         for e in range(3):
             k, l = (e + 1) % 3, (e + 2) % 3  # noqa: E741
             c[d, e] = m[i, k] * m[j, l] - m[i, l] * m[j, k]
-    det = m[0, 0] * c[0, 0] + m[0, 1] * c[0, 1] + m[0, 2] * c[0, 2]
-    local = np.empty(3)
-    for e in range(3):
-        local[e] = (c[0, e] * x + c[1, e] * y + c[2, e] * z) / det
-    return local
+    return c, m[0, 0] * c[0, 0] + m[0, 1] * c[0, 1] + m[0, 2] * c[0, 2], offset
 
 
-@kernel
+@inlined_kernel
+def _local(undone, x, y, z):
+    """The point that an _undone map takes to (x, y, z)."""
+    c, det, t = undone
+    x, y, z = x - t[0], y - t[1], z - t[2]
+    return (
+        (c[0, 0] * x + c[1, 0] * y + c[2, 0] * z) / det,
+        (c[0, 1] * x + c[1, 1] * y + c[2, 1] * z) / det,
+        (c[0, 2] * x + c[1, 2] * y + c[2, 2] * z) / det,
+    )
+
+
+@inlined_kernel
 def _placed(placing, row, local):
     """Where a point fixed to a fragment is at one of the poses of its Placing."""
-    return _turned(placing.rotations[row], local) + placing.positions[row]
+    return to_other(placing.rotations[row], placing.positions[row], local[0], local[1], local[2])
 
 
 @kernel
-def _gap_at_end(placings, of_a, of_b, n):
-    """Gap [m] of two points at the end of the step along n, turned with a or with b: whichever gives the smaller."""
-    p, q = _placed(placings[0], 2, of_a), _placed(placings[1], 2, of_b)
-    least = math.inf
+def _ways_at_end(placings, n):
+    """Direction n at the end of the step, turned with a and with b: rows (2, 3)."""
+    ways = np.empty((2, 3))
     for side in range(2):
-        way = _turned(placings[side].rotations[2], _turned_back(placings[side].rotations[0], n))
-        least = min(least, (q[0] - p[0]) * way[0] + (q[1] - p[1]) * way[1] + (q[2] - p[2]) * way[2])
-    return least
+        x, y, z = turned_back(placings[side].rotations[0], n[0], n[1], n[2])
+        ways[side, 0], ways[side, 1], ways[side, 2] = rotated(placings[side].rotations[2], x, y, z)
+    return ways
+
+
+@inlined_kernel
+def _gap_at_end(placings, of_a, of_b, ways):
+    """Gap [m] of two points at the end of the step along one of `ways`: that which gives the smaller."""
+    px, py, pz = _placed(placings[0], 2, of_a)
+    qx, qy, qz = _placed(placings[1], 2, of_b)
+    x, y, z = qx - px, qy - py, qz - pz
+    return min(
+        x * ways[0, 0] + y * ways[0, 1] + z * ways[0, 2], x * ways[1, 0] + y * ways[1, 1] + z * ways[1, 2]
+    )
