@@ -1,9 +1,4 @@
-"""Does missed_depth_bound hold, and how loose is it? Random pairs of fragments, compared with brute force.
-
-    python benchmarks/certificate.py [pairs] [seed ...]
-
-Default: 100000 pairs, seed 1.
-"""
+"""Does missed_depth_bound hold, and how loose is it? Random pairs of fragments, compared with brute force."""
 
 from __future__ import annotations
 
@@ -15,6 +10,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the ground truth lives with the tests
 
+import click  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
 from truth.certificate_campaign import Part, Tally, campaign  # noqa: E402
@@ -30,7 +26,19 @@ nearest point that is not the other's). Left: searches that ran to their end; ri
 """
 
 
-def main(pairs: int = 100_000, seeds: tuple[int, ...] = (1,)) -> int:
+@click.command(context_settings={"show_default": True})
+@click.argument("pairs", type=click.IntRange(1), default=100_000)
+@click.argument("seeds", type=int, nargs=-1)
+def command(pairs: int, seeds: tuple[int, ...]) -> None:
+    """Compare the missed depth bounds of random pairs of fragments with brute force.
+
+    PAIRS in all (100000, some minutes), drawn with SEEDS (1). Exit status 1 if a sample is deeper than its pair's
+    bound.
+    """
+    sys.exit(1 if main(pairs, seeds or (1,)) else 0)
+
+
+def main(pairs: int, seeds: tuple[int, ...]) -> int:
     """Prints the table; returns the number of violations."""
     console = Console(stderr=True)
     half = ("pairs", "touching", "loose", "left out")
@@ -67,5 +75,4 @@ def _cells(tally: Tally) -> tuple[object, ...]:
 
 
 if __name__ == "__main__":
-    arguments = [int(a) for a in sys.argv[1:]]
-    sys.exit(1 if main(arguments[0] if arguments else 100_000, tuple(arguments[1:]) or (1,)) else 0)
+    command(prog_name="python benchmarks/certificate.py")

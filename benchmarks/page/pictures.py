@@ -23,9 +23,10 @@ THROUGH = np.radians(20.0)  # the vase stands at 0
 
 
 def smash_plates(person: Person) -> None:
-    for place, fragments in ((PLATES[0], 14), (PLATES[2], 40)):
+    for place in (PLATES[0], PLATES[2]):
+        whole = person.status.fragments
         throw_at(person, place)
-        person.until(lambda fragments=fragments: person.status.fragments > fragments, "shards")
+        person.until(lambda whole=whole: person.status.fragments > whole + 10, "shards")
 
 
 def hit_vase(person: Person) -> None:

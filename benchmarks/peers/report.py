@@ -37,7 +37,8 @@ surface beside the crack. parting: the same to the way in which the common volum
 (a curved crack has many). off: largest distance of a witness from its surface. p: piled frames. t max: largest depth
 reported in place.
 Ours works on, and is judged against, the surfaces of its regions; the others get closed meshes ready made, and are
-judged against these: cut by planes where cracks are flat, through the cut edges where they are curved.
+judged against these: cut by planes where cracks are flat, through the cut edges where they are curved. So does ours on
+the same meshes.
 """
 
 

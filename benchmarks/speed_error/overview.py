@@ -7,12 +7,12 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from benchmarks.peers.libraries.ours_settings import named
+from benchmarks.peers.libraries.ours_settings import DEFAULTS, SAME_MESHES
 from benchmarks.speed_error.labels import Label, place_labels
-from benchmarks.speed_error.picture import OURS, STYLES, panels, same_limits, worlds_of
+from benchmarks.speed_error.picture import OURS, STYLES, panels, put_star, same_limits, worlds_of
 from benchmarks.speed_error.points import SILENT, Line, Point, family, is_ours, peer_label, points_of
 
-THIS = named("selection", "sufficient")  # the service's default
+OUR_NAMES = {DEFAULTS: "this package", SAME_MESHES: "this package\non others' meshes"}
 NAMES = {
     "exact distances": "exact distances\nat all vertices",
     "distance grids": "distance grids",
@@ -62,10 +62,12 @@ def _points(axes: Axes, points: Sequence[Point], chosen: set[str]) -> list[Label
             color, marker = STYLES[name]
             axes.plot(point.time, point.mean, marker, color=color, ms=8, mec="white", mew=0.6)
             labels.append(Label(axes, point.time, point.mean, f"{NAMES[name]}\n({_library(point)})", color))
-    (own,) = (point for point in points if point.method == THIS)
-    axes.plot(own.time, own.mean, "*", color=OURS, ms=17, mec="white", mew=0.8)
+    for point in points:
+        if point.method in OUR_NAMES:
+            put_star(axes, point, point.mean, 17)
+            labels.insert(0, Label(axes, point.time, point.mean, OUR_NAMES[point.method], OURS))
     axes.margins(0.25, 0.2)
-    return [Label(axes, own.time, own.mean, "this package", OURS), *labels]
+    return labels
 
 
 def _library(point: Point) -> str:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from benchmarks.peers.libraries.ours_settings import DEFAULTS, RESOLUTION
+from benchmarks.peers.libraries.ours_settings import DEFAULTS, RESOLUTION, SAME_MESHES
 from benchmarks.speed_error.labels import Label, place_labels
 from benchmarks.speed_error.points import (
     FAMILIES,
@@ -30,6 +30,7 @@ LEGEND = {"fontsize": 7, "title_fontsize": 7, "frameon": False}
 FLOOR = 0.001  # [% R] smaller errors are drawn here
 # Okabe and Ito's colours, distinguishable by colour-blind readers; the markers are redundant with them.
 OURS = "#0072B2"
+STARS = {DEFAULTS: OURS, SAME_MESHES: "white"}  # filled with
 STYLES = dict(
     zip(
         FAMILIES,
@@ -132,7 +133,7 @@ def _minor_tick(value: float, _place: int) -> str:
 
 
 def _all_methods(axes: Axes, points: Sequence[Point]) -> list[Label]:
-    """Each method with its bar; ours as one cloud around the defaults, connected by setting."""
+    """Each method with its bar; our settings as one cloud around the defaults, connected by setting."""
     labels = []
     for point in points:
         if point.method == SILENT:
@@ -147,10 +148,10 @@ def _all_methods(axes: Axes, points: Sequence[Point]) -> list[Label]:
         own = [point for _, point in line]
         axes.plot([p.time for p in own], [_floored(p.mean) for p in own], "-o", color=OURS, ms=2.5, lw=0.8, alpha=0.6)
     for point in points:
-        if point.method == DEFAULTS:
+        if point.method in STARS:
             _bar(axes, point, OURS)
-            axes.plot(point.time, _floored(point.mean), "*", color=OURS, ms=14, mec="white", mew=0.8, zorder=6)
-            labels.insert(0, Label(axes, point.time, _floored(point.mean), "ours", OURS))
+            put_star(axes, point, _floored(point.mean), 14)
+            labels.insert(0, Label(axes, point.time, _floored(point.mean), point.method, OURS))
     return labels
 
 
@@ -167,15 +168,19 @@ def _our_settings(worst: Axes, mean: Axes, points: Sequence[Point]) -> list[Labe
         labels += [Label(mean, p.time, _floored(p.mean), words, color, (words, p) in ends) for words, p in line]
     for point in points:
         if point.method == DEFAULTS:
-            star = {"color": OURS, "ms": 14, "mec": "white", "mew": 0.8, "zorder": 6}
-            worst.plot(point.time, _floored(point.worst), "*", **star)
-            mean.plot(point.time, _floored(point.mean), "*", **star)
-            labels.insert(0, Label(mean, point.time, _floored(point.mean), "complete", OURS))
+            put_star(worst, point, _floored(point.worst), 14)
+            put_star(mean, point, _floored(point.mean), 14)
+            labels.insert(0, Label(mean, point.time, _floored(point.mean), "defaults", OURS))
     for axes in (worst, mean):
         axes.margins(0.12, 0.2)
         for axis in (axes.xaxis, axes.yaxis):  # the view may span less than a decade
             axis.set_minor_formatter(FuncFormatter(_minor_tick))
     return labels
+
+
+def put_star(axes: Axes, point: Point, error: float, size: float) -> None:
+    fill = STARS[point.method]
+    axes.plot(point.time, error, "*", color=fill, ms=size, mec="white" if fill == OURS else OURS, mew=0.8, zorder=6)
 
 
 def _bar(axes: Axes, point: Point, color: str) -> None:
@@ -199,8 +204,9 @@ def same_limits(row: Sequence[Axes]) -> None:
 
 def _family_handles() -> list[Line2D]:
     ours = Line2D([], [], color=OURS, marker="*", ms=10, lw=0.8, label="ours, every setting")
+    same = Line2D([], [], color=STARS[SAME_MESHES], marker="*", ms=10, mec=OURS, ls="", label=SAME_MESHES)
     families = [Line2D([], [], color=c, marker=m, ls="", label=name) for name, (c, m) in STYLES.items()]
-    return [ours, *families, Line2D([], [], **NOTHING, label="no contact reported")]
+    return [ours, same, *families, Line2D([], [], **NOTHING, label="no contact reported")]
 
 
 def _setting_handles() -> list[Line2D]:

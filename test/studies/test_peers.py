@@ -144,7 +144,8 @@ def test_ours_and_exact_vertices_in_one_run(world: World, tmp_path: Path) -> Non
         assert exact.score[kind].missed == exact.score[kind].false == 0
     jitter = ours.score["jitter"]
     assert jitter.samples_penetrating > 5 and jitter.samples_missed == 0
-    assert jitter.witness_max < THIN * 2.0  # of the ball; the surfaces that are the truth may differ by as much
+    # the surfaces that are the truth lack edges and triangles thinner than THIN of 2 m: two may have been neighbours
+    assert jitter.witness_max < 2.0 * THIN * 2.0
     assert ours.score["touch"].deepest < 1e-6
     assert exact.score["jitter"].error_max < 1e-9
     assert exact.score["jitter"].nearest_median < 1e-3

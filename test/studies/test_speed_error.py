@@ -12,7 +12,7 @@ from test_peers import OVERLAP, blocks, judged, one_contact, placed  # noqa: F40
 from benchmarks.peers.judging.score import FrameTruth, score
 from benchmarks.peers.judging.truth import Solids
 from benchmarks.peers.libraries.ours import setting_methods
-from benchmarks.peers.libraries.ours_settings import DEFAULTS, RESOLUTION, SETTINGS, named
+from benchmarks.peers.libraries.ours_settings import DEFAULTS, RESOLUTION, SAME_MESHES, SETTINGS, named
 from benchmarks.peers.method import contacts_of, no_contacts
 from benchmarks.peers.worlds import EDGES, break_body, clustered_seeds
 from benchmarks.speed_error.measure import _body, resampled
@@ -74,7 +74,7 @@ def lines() -> list[dict[str, str]]:
         made.append(line(world, "fcl mesh", 9.0, 0.02))
         made += [line(world, "exact vertices (warp)", 30.0, 0.0), line(world, named(RESOLUTION, 6), 1.0, 0.003)]
         made += [line(world, named("contacts_per_pair", n), 2.0 + 0.1 * n, 0.001 + 0.001 / n) for n in (32, 1, 2)]
-        made.append(line(world, named("selection", "sufficient"), 1.5, 0.001))
+        made += [line(world, named("selection", "complete"), 1.5, 0.001), line(world, SAME_MESHES, 1.4, 0.001)]
         silent = dict.fromkeys(made[0], "")  # has an update only
         made.append(silent | {"world": world, "method": "exact field at nodes (libigl)", "update": "50"})
     return made

@@ -7,7 +7,8 @@ Optionally, contacts that only hook onto an edge of a standing box (HOOK) do not
 
 A vertex on an edge may be pushed along any direction between those of the faces beside it; an answer has one of them,
 another one a micrometre away, and a body that rests there trembles between them. So the directions within TREMBLE of
-the present place count too.
+the present place count too. Edges that are nearly flat are searched for no crossings, so that surfaces may be closer
+than their samples say by epsilon: contacts count up to that much farther apart than the service lists them.
 """
 
 from __future__ import annotations
@@ -112,8 +113,9 @@ def support_of(run, scene, hooks: bool = True) -> Support:
     states = run.states()
     registry = run.world.fragments()
     boxes = [] if hooks else _standing_boxes(run.simulation, registry)
+    reach = run.world.settings.detection_tolerance + run.world.settings.penetration_tolerance
     contacts = [
-        _without_hooks(asked_with(run.world, each, contacts_per_pair=ROOM), boxes)
+        _without_hooks(asked_with(run.world, each, contacts_per_pair=ROOM, detection_tolerance=reach), boxes)
         for each in (states, *_trembling(states))
     ]
     bodies = run.simulation._engine.states()

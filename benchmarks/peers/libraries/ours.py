@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.peers.libraries.ours_settings import DEFAULTS, SETTINGS, named
-from benchmarks.peers.method import EXACT, Contacts, Method, contacts_of
-from benchmarks.peers.worlds import Frame, World, empty_states
-from fracture_collision.records import ContactConstraintArray, FragmentStates
+from benchmarks.peers.libraries.ours_settings import DEFAULTS, SAME_MESHES, SETTINGS, named
+from benchmarks.peers.method import EXACT, MESH, Contacts, Method, contacts_of
+from benchmarks.peers.worlds import DENSITY, Frame, World, empty_states
+from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 
@@ -24,7 +24,7 @@ class Ours(Method):
     def __init__(self, name: str, is_quick: bool = True, **settings) -> None:
         self.name, self.is_quick = name, is_quick
         # frames are queried several times, each time as if everything had moved
-        self._settings = Settings(threads=1, neighbour_lists=False, selection="complete")._replace(**settings)
+        self._settings = Settings(threads=1, neighbour_lists=False)._replace(**settings)
 
     def prepare(self, world: World) -> CollisionWorld:
         """The unbroken body, queried once."""
@@ -40,10 +40,32 @@ class Ours(Method):
         return _State(before, np.array([f.fragment_id for f in world.fragments]))
 
     def query(self, world: World, state: _State, frame: Frame) -> Contacts:
-        states = FragmentStates(1, 1, state.ids, frame.body_positions.ravel(), frame.quaternions.ravel())
-        answer = state.service.contacts(states)
-        timings = state.service.last_timings
-        return listed_contacts(answer, state.ids, timings["broad_phase"] + timings["narrow_phase"])
+        return _asked(state, FragmentStates(1, 1, state.ids, frame.body_positions.ravel(), frame.quaternions.ravel()))
+
+
+class OursOnMeshes(Method):
+    """The fragments as rigid bodies of the closed meshes that the other libraries get."""
+
+    name = SAME_MESHES
+    surface = MESH
+
+    def update(self, world: World, before: None) -> _State:
+        service = CollisionWorld(Settings(threads=1, neighbour_lists=False))
+        for k, fragment in enumerate(world.fragments, 1):
+            vertices, triangles = fragment.mesh
+            body = CollisionBody(k, fragment.fragment_id, vertices=vertices, triangles=triangles, density=DENSITY)
+            service.add_body(body)
+        service.contacts(empty_states(0))
+        service.fragments()
+        return _State(service, np.array([f.fragment_id for f in world.fragments]))
+
+    def query(self, world: World, state: _State, frame: Frame) -> Contacts:
+        return _asked(state, FragmentStates(1, 0, state.ids, frame.positions.ravel(), frame.quaternions.ravel()))
+
+
+def _asked(state: _State, states: FragmentStates) -> Contacts:
+    answer, timings = state.service.contacts(states), state.service.last_timings
+    return listed_contacts(answer, state.ids, timings["broad_phase"] + timings["narrow_phase"])
 
 
 def listed_contacts(answer: ContactConstraintArray, ids: np.ndarray, native: float = np.nan) -> Contacts:
@@ -57,10 +79,11 @@ def listed_contacts(answer: ContactConstraintArray, ids: np.ndarray, native: flo
 
 
 def methods() -> list[Method]:
-    """The defaults, and one method for each setting that trades accuracy for time."""
+    """The defaults, the same on other meshes, and one method for each setting that trades accuracy for time."""
     return [
         Ours("ours"),
-        Ours("ours, sufficient", selection="sufficient"),
+        OursOnMeshes(),
+        Ours("ours, complete", selection="complete"),
         Ours("ours, nearest normals", normals="nearest"),
         # its first fracture builds the grid of the unbroken body: half a minute for the ball
         Ours("ours, averaged field", is_quick=False, field="averaged"),
