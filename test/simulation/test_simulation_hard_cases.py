@@ -237,20 +237,19 @@ def test_a_fresh_fracture_without_gravity_stays_in_place(duration, shape, curvat
     assert track.displacement() < 1e-9
 
 
-FRESH_DRIFT = 1e-3  # of R
+FRESH_DRIFT = 1e-4  # of R
 ON_THE_GROUND = {"pane": (PANE, 0.5), "brick": (BRICK, 1.0)}  # shape and friction
 
 
 @cache
-def worst_drift(name: str, curvature: float, duration: float, contacts_per_pair: int) -> float:
+def worst_drift(name: str, curvature: float, duration: float) -> float:
     """Of five seeds, as a share of R."""
     shape, friction = ON_THE_GROUND[name]
     size = shape["brick"]["size_xyz"]
-    settings = Settings(contacts_per_pair=contacts_per_pair)
     drifts = []
     for seed in range(1, 6):
         scene = breakable(shape, seed, curvature, friction, 9.81, 0.5 * size[2])
-        track = run(scene, duration, struck=True, settings=settings)
+        track = run(scene, duration, struck=True)
         assert len(track.states[-1].fragment_ids) >= 7
         drifts.append(track.displacement() / (0.5 * max(size)))
     return max(drifts)
@@ -260,24 +259,12 @@ def worst_drift(name: str, curvature: float, duration: float, contacts_per_pair:
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("name", ["pane", "brick"])
 def test_a_fresh_fracture_on_the_ground_stays_in_place(duration, name, curvature):
-    """Five seeds each, 16 contacts per pair: no node of any fragment moves by more than 0.1 % R; energy does not rise.
+    """Five seeds each, 8 contacts per pair: no node of any fragment moves by more than 0.01 % R; energy does not rise.
 
     A brick half as high as long has cracks that lean by more than 27 degrees; on those, friction of 0.5 lets pieces
     slide (by 3 % R with seed 1), as it should. Its friction is 1.
     """
-    assert worst_drift(name, curvature, duration, 16) < FRESH_DRIFT
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize("curvature", [0.0, 0.25])
-@pytest.mark.parametrize("name", ["pane", "brick"])
-def test_a_fresh_fracture_with_fewer_contacts_moves_within_the_tolerance(name, curvature):
-    """With the usual 8 contacts per pair, pieces may tilt until others are epsilon deep.
-
-    The contacts can stand close together in a crack. The depth is about 0.2 % R, no more than 0.3 %.
-    """
-    assert worst_drift(name, curvature, 10.0, Settings().contacts_per_pair) < 3e-3
+    assert worst_drift(name, curvature, duration) < FRESH_DRIFT
 
 
 RIM_CORNERS = 120
