@@ -18,13 +18,15 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.fracture.pieces import (
+    bisector_crossings,
     connected_pieces,
     edge_lengths,
     nearest_seeds,
     range_between,
     seed_pairs,
+    warped,
 )
-from fracture_collision.portable_math import cosine, dots, images, lengths, normal_numbers, power, products, sine
+from fracture_collision.portable_math import cosine, dots, images, lengths, normal_numbers, power, products
 from fracture_collision.records import documented
 
 # How far a plane may pass beyond an edge's end, as a share of the edge: a tenth of what the service accepts.
@@ -60,23 +62,25 @@ class Pattern(NamedTuple):
 
 
 class Warp(NamedTuple):
-    """A smooth map of space, x + A sin(K x + p): the sum of w waves."""
+    """A smooth map of space, x + A sin(K x + p): the sum of three waves."""
 
-    amplitudes: np.ndarray  # (w, 3) [m]
-    waves: np.ndarray  # (w, 3) [1/m]
-    phases: np.ndarray  # (w,)
+    amplitudes: np.ndarray  # (3, 3) [m]
+    waves: np.ndarray  # (3, 3) [1/m]
+    phases: np.ndarray  # (3,)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Images (n, 3) [m] of points (n, 3) [m]."""
-        return points + products(sine(self._angles(points)), self.amplitudes)
+        return warped(points, self.each)
+
+    @property
+    def each(self) -> tuple[tuple[float, ...], ...]:
+        """As kernels take it: of each wave its amplitude, its K and its phase."""
+        return tuple(tuple(wave) for wave in np.column_stack(self).tolist())
 
     def jacobians(self, points: np.ndarray) -> np.ndarray:
         """Derivatives d phi_i / d x_j at `points` (n, 3) [m]: (n, 3, 3)."""
-        slopes = cosine(self._angles(points))
+        slopes = cosine(products(points, self.waves.T) + self.phases)
         return np.eye(3) + products(slopes[:, None, :] * self.amplitudes.T, self.waves)
-
-    def _angles(self, points: np.ndarray) -> np.ndarray:
-        return products(points, self.waves.T) + self.phases
 
 
 def voronoi_pattern(
@@ -179,14 +183,10 @@ def _curved_planes(
 ) -> np.ndarray:
     start, end = points[cut[:, 0]], points[cut[:, 1]]
     s, t = warped_seeds[labels[cut[:, 0]]], warped_seeds[labels[cut[:, 1]]]
-    low, high = np.zeros(len(cut)), np.ones(len(cut))
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        place = warp(start + middle[:, None] * (end - start))
-        nearer_s = dots(place - s, place - s) <= dots(place - t, place - t)
-        low, high = np.where(nearer_s, middle, low), np.where(nearer_s, high, middle)
     # Kept off the ends, so that a node stays on its own side of the plane.
-    crossing = start + np.clip(0.5 * (low + high), 1e-6, 1.0 - 1e-6)[:, None] * (end - start)
+    columns = (np.ascontiguousarray(rows.T) for rows in (start, end - start, s, t))
+    shares = np.clip(bisector_crossings(*columns, warp.each), 1e-6, 1.0 - 1e-6)
+    crossing = start + shares[:, None] * (end - start)
     normals = images(warp.jacobians(crossing).transpose(0, 2, 1), t - s)
     normals /= lengths(normals)[:, None]
     along = (end - start) / lengths(end - start)[:, None]

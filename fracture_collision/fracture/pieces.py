@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision import grouping
+from fracture_collision import grouping, portable_math
 from fracture_collision.kernel_sources import cached_njit
 
 _root_of = cached_njit(grouping.root_of)
+_sine_after = cached_njit(portable_math.sine_after)
+# Halvings of an edge, after which a crossing is known to a millionth of a millionth of it.
+HALVINGS = 40
 
 
 @cached_njit
@@ -108,6 +111,52 @@ def range_between(sides, rows, count):
         highest[rows[e]] = max(highest[rows[e]], sides[e, 0])
         lowest[rows[e]] = min(lowest[rows[e]], sides[e, 1])
     return highest, lowest
+
+
+@cached_njit
+def warped(points, warp):
+    """Images (k, 3) [m] of points (k, 3) [m] by three waves: each its amplitude (3) [m], its K (3) [1/m], its phase."""
+    out = np.empty_like(points)
+    for i in range(len(points)):
+        out[i, 0], out[i, 1], out[i, 2] = _image(warp, (points[i, 0], points[i, 1], points[i, 2]))
+    return out
+
+
+@cached_njit
+def bisector_crossings(start, way, s, t, warp):
+    """Shares (c,) of edges at which they are as far from s as from t, where they are warped; see `warped`.
+
+    start, way: (3, c) [m], one end, nearer to s, and from there to the other, nearer to t; s, t: (3, c) [m] warped
+    seeds.
+    """
+    low, high = np.zeros(start.shape[1]), np.ones(start.shape[1])
+    # without branches, all edges at once: several fit into one instruction
+    for _ in range(HALVINGS):
+        for e in range(len(low)):
+            middle = 0.5 * (low[e] + high[e])
+            place = start[0, e] + middle * way[0, e], start[1, e] + middle * way[1, e], start[2, e] + middle * way[2, e]
+            x, y, z = _image(warp, place)
+            from_s = (x - s[0, e]) * (x - s[0, e]) + (y - s[1, e]) * (y - s[1, e]) + (z - s[2, e]) * (z - s[2, e])
+            from_t = (x - t[0, e]) * (x - t[0, e]) + (y - t[1, e]) * (y - t[1, e]) + (z - t[2, e]) * (z - t[2, e])
+            low[e] = middle if from_s <= from_t else low[e]
+            high[e] = high[e] if from_s <= from_t else middle
+    return 0.5 * (low + high)
+
+
+@cached_njit(inline="always")
+def _image(warp, place):
+    (x, y, z), (first, second, third) = place, warp
+    u, v, w = _wave(first, x, y, z), _wave(second, x, y, z), _wave(third, x, y, z)
+    return (
+        x + (u * first[0] + v * second[0] + w * third[0]),
+        y + (u * first[1] + v * second[1] + w * third[1]),
+        z + (u * first[2] + v * second[2] + w * third[2]),
+    )
+
+
+@cached_njit(inline="always")
+def _wave(wave, x, y, z):
+    return _sine_after(x * wave[3] + y * wave[4] + z * wave[5] + wave[6], 0.0)
 
 
 @cached_njit

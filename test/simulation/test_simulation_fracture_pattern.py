@@ -8,10 +8,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from truth.counted_work import calls_of
 
-from fracture_collision.fracture.pattern import PatternSettings, voronoi_pattern
-from fracture_collision.fracture.pieces import connected_pieces
+from fracture_collision.fracture.pattern import PatternSettings, draw_warp, voronoi_pattern
+from fracture_collision.fracture.pieces import bisector_crossings, connected_pieces
 from fracture_collision.geometry import generators
 from fracture_collision.geometry.tetrahedra import unique_edges
+from fracture_collision.portable_math import dots, products, sine
 from fracture_collision.simulation.breakable_body import BreakableBody
 
 PLATE = generators.plate(0.25, 0.008, 0.0125, 0.018, 2)
@@ -151,6 +152,28 @@ def test_curved_cracks_are_curved_and_smooth():
     bend = normals @ normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
     assert bend.min() < 0.999
     assert np.median(bend) > 0.8
+
+
+def test_bisectors_are_crossed_where_halvings_in_numpy_find_them():
+    """To the last bit: the slow twin of the kernel."""
+    random = np.random.default_rng(3)
+    warp = draw_warp(random.uniform(-1.0, 1.0, (100, 3)), 12, 0.3, random)
+
+    def image(points):
+        return points + products(sine(products(points, warp.waves.T) + warp.phases), warp.amplitudes)
+
+    start = random.uniform(-1.0, 1.0, (200, 3))
+    way = random.uniform(-0.1, 0.1, start.shape)
+    s, t = image(start - 0.5 * way), image(start + 1.8 * way)
+    low, high = np.zeros(len(start)), np.ones(len(start))
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        place = image(start + middle[:, None] * way)
+        nearer_s = dots(place - s, place - s) <= dots(place - t, place - t)
+        low, high = np.where(nearer_s, middle, low), np.where(nearer_s, high, middle)
+    found = bisector_crossings(*(np.ascontiguousarray(rows.T) for rows in (start, way, s, t)), warp.each)
+    assert np.array_equal(found, 0.5 * (low + high)) and np.array_equal(warp(start), image(start))
+    assert np.ptp(found) > 0.1
 
 
 def test_pieces_are_smaller_near_the_impact():
