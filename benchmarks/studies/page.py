@@ -37,9 +37,9 @@ were running.
 **Recommendations**
 
 - *Convex hulls or this package?* Use hulls if cracks are flat or an error of a few per cent of R is acceptable: rapier
-  is six to twenty-eight times as fast, over whole scenes ("{FRAMES}") as well as where all neighbours penetrate
-  ("Comparison with other libraries", jittered; MuJoCo is up to eighty times as fast there). With curved cracks, hulls
-  push interlocking fragments apart, and they report one in six to one in ten of the disjoint pairs.
+  is ten to twenty-eight times as fast over whole scenes ("{FRAMES}"), and 70 to 280 times where all neighbours
+  are deep in each other at once ("Comparison with other libraries", jittered; MuJoCo up to 800 times). With curved
+  cracks, hulls push interlocking fragments apart, and they report one in six to one in ten of the disjoint pairs.
 - *Which settings?* The defaults. A larger `penetration_tolerance` trades penetration depth for time. `visit_budget`
   bounds the time of a step, and each answer bounds the depth it missed ("Speed against error", "Comparison with other
   libraries").
