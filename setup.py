@@ -14,9 +14,12 @@ FOR_RELEASE = "FRACTURE_COLLISION_RELEASE" in os.environ
 
 
 def requirements(name: str) -> list[str]:
-    """The requirements in a file of requirements/, one per line."""
-    lines = (line.split("#")[0].strip() for line in (ROOT / "requirements" / name).read_text().splitlines())
-    return [line for line in lines if line]
+    """The requirements in a file of requirements/, one per line, and in those that it names."""
+    found: list[str] = []
+    for line in (ROOT / "requirements" / name).read_text().splitlines():
+        words = line.split("#")[0].strip()
+        found += requirements(words.removeprefix("-r ")) if words.startswith("-r ") else [words] if words else []
+    return list(dict.fromkeys(found))
 
 
 def shared_files() -> list[tuple[str, list[str]]]:
@@ -29,8 +32,10 @@ def shared_files() -> list[tuple[str, list[str]]]:
 setup(
     data_files=shared_files(),
     extras_require={
-        "ros": [*requirements("ros.in"), MESSAGES if FOR_RELEASE else f"{MESSAGES} @ {(ROOT / 'messages').as_uri()}"],
-        "formats": requirements("formats.in"),
-        "mesher": requirements("mesher.in"),
+        **{name: requirements(f"{name}.in") for name in ("cli", "bags", "viewer", "meshing", "mesher")},
+        "ros": [
+            *requirements("ros.in"), *requirements("nodes.in"),
+            MESSAGES if FOR_RELEASE else f"{MESSAGES} @ {(ROOT / 'messages').as_uri()}",
+        ],
     },
 )

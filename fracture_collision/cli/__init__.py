@@ -6,14 +6,20 @@ SIGTERM end the process at once, until a command that must end in order installs
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
+from fracture_collision.extras import MissingExtra, need
 from fracture_collision.process.early_signals import INTERRUPTED, signals_end_at_once
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Runs one command; None: the process's arguments. Ends with SystemExit."""
     signals_end_at_once(INTERRUPTED)
+    try:
+        need("cli", "the command line")
+    except MissingExtra as missing:
+        sys.exit(f"Error: {missing}")
     from fracture_collision.cli.commands import main as command
 
     command(arguments)

@@ -17,6 +17,7 @@ from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
 from fracture_collision.cli.teleop import teleop
 from fracture_collision.cli.view import view
+from fracture_collision.extras import MissingExtra
 from fracture_collision.process.full_disk import full_disk_words
 from fracture_collision.ros.missing import REMEDY, is_ros_missing
 
@@ -52,6 +53,8 @@ class Commands(click.Group):
         """As click does."""
         try:
             return super().invoke(ctx)
+        except MissingExtra as error:
+            raise click.ClickException(f"this command needs an extra: {error}") from error
         except ModuleNotFoundError as error:
             if not is_ros_missing(error):
                 raise

@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
+from fracture_collision.extras import need
 from fracture_collision.geometry.tetrahedra import pyramid_volumes
 from fracture_collision.portable_math import dots
 
@@ -66,6 +64,7 @@ def read_surface(file: Path, longest_side: float | None) -> Surface:
 
 def _read(file: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of a file as it has them."""
+    need("meshing", f"reading {file}")
     import trimesh  # late: the import is slow
 
     try:
@@ -87,6 +86,8 @@ def _merged(places: np.ndarray, triangles: np.ndarray) -> Surface:
     triangles = _with_area(number.reshape(-1, 3))
     if not np.any(_edges(triangles)[2] == 1):
         return Surface(vertices, triangles)
+    from scipy.spatial import KDTree  # late: of an extra
+
     near = KDTree(vertices).query_pairs(MERGED * np.ptp(vertices, axis=0).max(), output_type="ndarray")
     group = _components(near, len(vertices))
     return Surface(vertices[np.unique(group, return_index=True)[1]], _with_area(group[triangles]))
@@ -108,6 +109,9 @@ def _edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _components(links: np.ndarray, count: int) -> np.ndarray:
     """(count,) the connected component of each of 0 .. count - 1, numbered in the order of their smallest members."""
+    from scipy.sparse import coo_array  # late: of an extra
+    from scipy.sparse.csgraph import connected_components
+
     return connected_components(coo_array((np.ones(len(links)), links.T), shape=(count, count)), directed=False)[1]
 
 

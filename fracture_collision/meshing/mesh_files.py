@@ -114,7 +114,7 @@ def _read_by_meshio(file: Path) -> TetGeometry:
         if missing.name != "meshio":
             raise
         raise ModuleNotFoundError(
-            f"{file}: reading {file.suffix} needs meshio: pip install meshio", name=missing.name
+            f"{file}: reading {file.suffix} needs meshio: `pip install '.[meshing]'` in a checkout", name=missing.name
         ) from missing
     printed = io.StringIO()  # where meshio has the reason, before it exits
     try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
+from fracture_collision.extras import MissingExtra
 from fracture_collision.process.early_signals import signals_end_at_once
 from fracture_collision.ros.missing import REMEDY, is_ros_missing
 
@@ -31,6 +32,9 @@ def start(node: str) -> int:
     signals_end_at_once(0)
     try:
         module = import_module(module_of(node))
+    except MissingExtra as error:
+        print(f"{node}: {error}", file=sys.stderr)
+        return 1
     except ModuleNotFoundError as error:
         if not is_ros_missing(error):
             raise

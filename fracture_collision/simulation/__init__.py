@@ -1,0 +1,3 @@
+from fracture_collision.extras import need
+
+need("cli", "fracture_collision.simulation")

@@ -125,12 +125,12 @@ def requirements_for(extra: str, lines: Iterable[str]) -> list[Requirement]:
     return [each for each in needed if each.marker is None or each.marker.evaluate({"extra": extra})]
 
 
-def all_requirements_of(wheel: Path) -> set[str]:
-    """Names of the distributions that pip would install with it, without extras."""
+def all_requirements_of(wheel: Path, *extras: str) -> set[str]:
+    """Names of the distributions that pip would install with it and these extras."""
     with zipfile.ZipFile(wheel) as files:
         (name,) = (each for each in files.namelist() if each.endswith(".dist-info/METADATA"))
         lines = email.message_from_bytes(files.read(name)).get_all("Requires-Dist")
-    waiting = requirements_for("", lines)
+    waiting = [needed for extra in ("", *extras) for needed in requirements_for(extra, lines)]
     found: set[str] = set()
     while waiting:
         needed = waiting.pop()
@@ -144,12 +144,12 @@ def all_requirements_of(wheel: Path) -> set[str]:
 
 @pytest.fixture(scope="module")
 def without_ros(workplace: Path, wheels: Path) -> Path:
-    """A new environment with the library's wheel and what it requires, which is linked from the .venv."""
+    """A new environment with the wheel and what all extras but `ros` require, which is linked from the .venv."""
     place = workplace / "without_ros"
     run(sys.executable, "-m", "venv", place, cwd=workplace, environment=clean_environment())
     (wheel,) = wheels.glob("fracture_collision-*.whl")
     (packages,) = place.glob("lib/python*/site-packages")
-    for name in all_requirements_of(wheel):
+    for name in all_requirements_of(wheel, "cli", "viewer", "meshing"):
         for file in metadata.distribution(name).files:
             target = packages / file
             if ".." not in file.parts and "__pycache__" not in file.parts and not target.exists():
@@ -171,6 +171,14 @@ def test_the_wheel_is_for_every_platform_and_knows_its_version(wheels: Path, wit
     said = run(command, "--version", cwd=without_ros, environment=clean_environment())
     assert said.split()[-1] == __version__
     assert ElementTree.parse(ROOT / "package.xml").find("version").text == __version__
+
+
+def test_the_library_alone_is_small(wheels: Path) -> None:
+    (wheel,) = wheels.glob("fracture_collision-*.whl")
+    assert all_requirements_of(wheel) == {"numpy", "numba", "llvmlite"}
+    with zipfile.ZipFile(wheel) as own:
+        assert "fracture_collision/py.typed" in own.namelist()
+        assert sum(each.file_size for each in own.infolist()) < 5e6
 
 
 def test_the_library_works_without_ros(without_ros: Path) -> None:

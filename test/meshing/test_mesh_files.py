@@ -90,7 +90,7 @@ def test_a_mesh_object_is_rejected_with_the_remedy() -> None:
 def test_without_meshio_the_error_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "meshio", None)
     (tmp_path / "brick.msh").touch()
-    with pytest.raises(ModuleNotFoundError, match=r"brick.msh: reading .msh needs meshio: pip install meshio"):
+    with pytest.raises(ModuleNotFoundError, match=r"brick.msh: reading .msh needs meshio: `pip install"):
         read_mesh(tmp_path / "brick.msh")
 
 
