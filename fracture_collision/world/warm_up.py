@@ -16,6 +16,8 @@ from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
 from fracture_collision.world.settings import Settings
 
+BAR = brick((1.0, 0.5, 0.5), 0.5)
+
 
 def cache_is_cold() -> bool:
     """Whether the largest kernel is not in the cache: the first start compiles."""
@@ -26,33 +28,61 @@ def cache_is_cold() -> bool:
 
 
 def compile_kernels(progress: Callable[[str], None]) -> None:
-    """Run the small scene; `progress` is called with a description before each stage."""
+    """Run the small scene; `progress` is called with a description before each stage.
+
+    What `surfaces: searched` needs is compiled where it is used: by tests, not by a service.
+    """
+    progress("bodies: mesh preprocess, sphere trees (1 of 3)")
+    world = _of_all_shapes()
+    progress("contacts: broad phase, Algorithm 1, exact field (2 of 3)")
+    world.contacts(_states(1, 0, np.array([1, 2, 7])))
+    progress("fracture: crack polygons, tree splitting, masses (3 of 3)")
+    _break(world)
+    for step in (2, 3, 4):  # full search, lists built, query through the lists
+        world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9])))
+    world.change_settings(world.settings._replace(lookahead=0.01))
+    world.contacts(_states(5, 2, np.array([2, 5, 7, 8, 9])))
+    world.change_settings(world.settings._replace(lookahead=0.0, field="exact"))
+    world.contacts(_states(6, 2, np.array([2, 5, 7, 8, 9, 10])))  # the last is concave, and deep in others
+    world.fragments()
+    world.fragment_mesh(5)
+
+
+def compile_contacts(progress: Callable[[str], None]) -> None:
+    """The part of compile_kernels that has most of them, without fractures."""
+    progress("contacts")
+    world, ids = _of_all_shapes(), np.array([1, 2, 7, 10])
+    for step, lookahead in ((1, 0.0), (2, 0.0), (3, 0.01)):
+        world.change_settings(world.settings._replace(lookahead=lookahead))
+        world.contacts(_states(step, 0, ids))
+
+
+def compile_fractures(progress: Callable[[str], None]) -> None:
+    """The other part: fractures, and what a fracture is told."""
+    progress("fractures")
+    world = service.CollisionWorld(Settings(threads=2, field="averaged"))
+    world.add_body(_tetrahedral_body(1, BAR))
+    _break(world)
+    world.fragments()
+    world.fragment_mesh(5)
+
+
+def _of_all_shapes() -> service.CollisionWorld:
     # a fracture with the averaged field uses all kernels of the exact field, and more
     world = service.CollisionWorld(Settings(threads=2, field="averaged"))
-    geometry = brick((1.0, 0.5, 0.5), 0.5)
-    progress("bodies: mesh preprocess, sphere trees (1 of 3)")
-    world.add_body(_tetrahedral_body(1, geometry))
+    world.add_body(_tetrahedral_body(1, BAR))
     world.add_body(_tetrahedral_body(10, l_block((1.0, 1.0, 0.5), (0.5, 0.5), 0.5)))
     world.add_body(CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.3,))))
     world.add_body(CollisionBody(3, 3, primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)), is_static=True))
     world.add_body(CollisionBody(4, 4, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
     world.add_body(_wedge(5, 7))
-    progress("contacts: broad phase, Algorithm 1, exact field (2 of 3)")
-    world.contacts(_states(1, 0, np.array([1, 2, 7])))
-    progress("fracture: crack polygons, tree splitting, masses (3 of 3)")
-    whole = np.ones(len(geometry.vertices), dtype=bool)
-    world.add_fracture(_flat_crack(geometry, 1, 1, whole, 0, 0.1, (5, 6)))
-    # the second crack meets the first: tetrahedra shared by three fragments
-    world.add_fracture(_flat_crack(geometry, 2, 6, geometry.vertices[:, 0] > 0.1, 1, 0.05, (8, 9)))
-    for step in (2, 3, 4):  # full search, lists built, query through the lists
-        world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9])))
-    world.change_settings(world.settings._replace(lookahead=0.01))
-    world.contacts(_states(5, 2, np.array([2, 5, 7, 8, 9])))
-    for step, surfaces in ((6, "searched"), (7, "edges")):
-        world.change_settings(world.settings._replace(lookahead=0.0, field="exact", surfaces=surfaces))
-        world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9, 10])))  # the last is concave, and deep in others
-    world.fragments()
-    world.fragment_mesh(5)
+    return world
+
+
+def _break(world: service.CollisionWorld) -> None:
+    """Break body 1 twice; the second crack meets the first: tetrahedra shared by three fragments."""
+    world.add_fracture(_flat_crack(BAR, 1, 1, np.ones(len(BAR.vertices), dtype=bool), 0, 0.1, (5, 6)))
+    world.add_fracture(_flat_crack(BAR, 2, 6, BAR.vertices[:, 0] > 0.1, 1, 0.05, (8, 9)))
 
 
 def compile_inspection_kernels() -> None:
@@ -60,8 +90,7 @@ def compile_inspection_kernels() -> None:
     from fracture_collision.world.inspection import field_on_plane
 
     world = service.CollisionWorld(Settings(threads=1))
-    geometry = brick((1.0, 0.5, 0.5), 0.5)
-    world.add_body(_tetrahedral_body(1, geometry))
+    world.add_body(_tetrahedral_body(1, BAR))
     field_on_plane(world, world.present(_states(1, 0, np.array([1]))), 1, 0.0, finest=2)
 
 
