@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
+_BAGS = {"mcap": "mcap", "lz4": "lz4", "zstandard": "zstandard", "yaml": "pyyaml"}
 # extra -> what it imports -> its distribution. requirements/<extra>.in has the versions.
 EXTRAS = {
     "cli": {"click": "click", "rich": "rich", "yaml": "pyyaml", "scipy": "scipy"},
-    "bags": {"mcap": "mcap", "lz4": "lz4", "zstandard": "zstandard", "yaml": "pyyaml"},
-    "viewer": {
-        "mcap": "mcap", "lz4": "lz4", "zstandard": "zstandard", "yaml": "pyyaml", "matplotlib": "matplotlib",
-        "embreex": "embreex", "PIL": "pillow", "scipy": "scipy", "trimesh": "trimesh", "viser": "viser",
-        "websockets": "websockets",
+    "bags": _BAGS,
+    "viewer": _BAGS | {
+        "matplotlib": "matplotlib", "embreex": "embreex", "PIL": "pillow", "scipy": "scipy", "trimesh": "trimesh",
+        "viser": "viser", "websockets": "websockets",
     },
     "meshing": {"trimesh": "trimesh", "scipy": "scipy", "meshio": "meshio"},
 }  # fmt: skip
