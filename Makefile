@@ -47,6 +47,7 @@ lint: $(STAMPS)/messages ## style, types, spelling, signatures, one-way imports,
 	@$(BIN)/lint-imports --no-cache
 	@$(BIN)/python -m lint.portable_arithmetic
 	@$(BIN)/python -m lint.signatures
+	@$(BIN)/python -m lint.collision_config
 
 peers: build $(STAMPS)/peers ## ours beside the libraries people would use instead: table, ratios and out/peers.csv, some minutes
 	@$(BIN)/python -m benchmarks.peers

@@ -19,7 +19,7 @@ from fracture_collision.replay import InProcess, Replay, settings_of
 from fracture_collision.ros.runs.scene_recording import Selection, record_scene
 from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.simulation.scene.scene_changes import with_curvature
-from fracture_collision.world import Settings
+from fracture_collision.world.settings import for_step
 
 FOLDER = Path(__file__).resolve().parent
 DIGESTS = FOLDER / "digests.yaml"
@@ -52,7 +52,7 @@ def make(recipe: dict[str, Any], bag: Path) -> None:
     scene = load_scene(recipe["scene"])
     if "curvature" in recipe:
         scene = with_curvature(scene, recipe["curvature"])
-    settings = Settings(lookahead=scene.time_step)._replace(**recipe.get("settings", {}))
+    settings = for_step(scene.time_step, recipe.get("settings", {}))
     for _ in record_scene(scene, settings, None, bag, Selection(*recipe["steps"])):
         pass
 

@@ -24,9 +24,8 @@ matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt  # noqa: E402
 from oracles.counted_flood import count_floods  # noqa: E402
-from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world  # noqa: E402
+from worlds.fractured_worlds import FracturedWorld, fractured_world  # noqa: E402
 
-from fracture_collision.core.field.averaged_field import averaged_penetration  # noqa: E402
 from fracture_collision.core.field.flood import (  # noqa: E402
     EVERYTHING,
     least_distance_squared,
@@ -36,15 +35,19 @@ from fracture_collision.core.field.flood import (  # noqa: E402
     next_stamp,
     nothing_within,
 )
+from fracture_collision.core.glondu2014.averaged_field import averaged_penetration  # noqa: E402
+from fracture_collision.core.glondu2014.paper_pools import FieldPool  # noqa: E402
 from fracture_collision.core.memory.pools import Pools  # noqa: E402
 from fracture_collision.core.mesh.point_location import holds_fragment, owner_in_tetrahedron, tetrahedron_at  # noqa: E402
 from fracture_collision.core.search.scratch import Scratch, make_scratch  # noqa: E402
 from fracture_collision.geometry.generators import ball  # noqa: E402
 from fracture_collision.geometry.stored_meshes import bunny  # noqa: E402
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes  # noqa: E402
+from fracture_collision.world import Settings  # noqa: E402
 
 # Half the longest side, R, is 1 m for both.
 BODIES = {"ball": ball(1.0, 0.1), "bunny": bunny(2.0)}
+SETTINGS = Settings(threads=1, method="glondu2014")  # keeps the averaged field; a flood needs nothing kept
 SEEDS, GENERATIONS = 4, 2
 DEPTHS = (0.0, 0.005, 0.02, 0.05, 0.15, 1.0)  # of R
 POINTS, PER_BIN, FEWEST = 150_000, 1000, 100
@@ -144,9 +147,10 @@ def rings(pools, rows, tets, points, limits, scratch, depths):
 
 
 @compiled
-def average(pools, rows, tets, points, depths):
+def average(pools, field, rows, tets, points, depths):
     for i in range(len(points)):
-        depths[i] = averaged_penetration(pools, rows[i], tets[i], points[i, 0], points[i, 1], points[i, 2])[0]
+        x, y, z = points[i]
+        depths[i] = averaged_penetration(pools, field, rows[i], tets[i], x, y, z)[0]
 
 
 @compiled
@@ -184,8 +188,7 @@ def main() -> None:
     costs: dict[tuple[str, str], list[Cost]] = {}
     for name, body in BODIES.items():
         for cracks in ("flat", "curved"):
-            settings = SETTINGS._replace(field="averaged")
-            case = fractured_world(body, SEEDS, GENERATIONS, cracks == "curved", settings)
+            case = fractured_world(body, SEEDS, GENERATIONS, cracks == "curved", SETTINGS)
             print(f"{name}, {len(body.vertices)} nodes, {cracks} cracks, {len(case.oracle.fragment_ids)} fragments")
             costs[name, cracks] = measure(case)
             print(flush=True)
@@ -194,16 +197,16 @@ def main() -> None:
 
 
 def measure(case: FracturedWorld) -> list[Cost]:
-    pools = case.geometry.pools
+    pools, field = case.geometry.pools, case.geometry.paper.pools.field
     scratch = make_scratch(len(pools.mesh.tetrahedra), 8)
     places = inside(case)
     shift = int(pools.fragment.node_shift[case.row(case.oracle.fragment_ids[0])])
-    exact = np.zeros((len(pools.body.node_field), 3))
+    exact = np.zeros((len(field.node_field), 3))
     measure_nodes(pools, shift, scratch, exact)
     started = thread_time()
     floods = measure_nodes(pools, shift, scratch, exact)
     seconds = thread_time() - started
-    certain = {"fronts": np.ascontiguousarray(pools.body.node_field[:, 4:]), "exact nodes": exact}
+    certain = {"fronts": np.ascontiguousarray(field.node_field[:, 4:]), "exact nodes": exact}
     depths = np.empty(len(places.points))
     flood(pools, places.rows, places.tets, places.points, np.full(len(depths), np.inf), scratch, depths)
     print("".join(f"{c:>17}" for c in COLUMNS))
@@ -212,7 +215,7 @@ def measure(case: FracturedWorld) -> list[Cost]:
         chosen = np.flatnonzero((depths >= low) & (depths < high))[:PER_BIN]
         if len(chosen) < FEWEST:
             continue
-        costs.append(cost_of(pools, places.take(chosen), depths[chosen], certain, scratch))
+        costs.append(cost_of(pools, field, places.take(chosen), depths[chosen], certain, scratch))
         print(_line(low, high, costs[-1]), flush=True)
     print(f"exact nearest points of the {floods} interior nodes: {1e6 * seconds / floods:.1f} us a node")
     return costs
@@ -230,7 +233,12 @@ def inside(case: FracturedWorld) -> Places:
 
 
 def cost_of(
-    pools: Pools, places: Places, depths: np.ndarray, certain: dict[str, np.ndarray], scratch: Scratch
+    pools: Pools,
+    field: FieldPool,
+    places: Places,
+    depths: np.ndarray,
+    certain: dict[str, np.ndarray],
+    scratch: Scratch,
 ) -> Cost:
     asked, n = (places.rows, places.tets, places.points), len(depths)
     limits = {"nothing": np.full(n, np.inf), "the answer": depths * (1.0 + 1e-9) + 1e-12}
@@ -252,7 +260,7 @@ def cost_of(
             continue
         counts[name] = count_floods(pools, *asked, limits[name])
         assert np.abs(counts[name][:, 0] - depths).max() <= 1e-12, "the twin is no twin any more"
-    tasks["averaged", ""] = (average, (*asked, np.empty(n)))
+    tasks["averaged", ""] = (average, (field, *asked, np.empty(n)))
     times = _nanoseconds(pools, tasks, n)
     nanoseconds = {}
     for name in (*STARTS, *RINGS):

@@ -11,16 +11,16 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # the fracture patterns live with the tests
 
-from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings  # noqa: E402
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings  # noqa: E402
 
-from fracture_collision.core.bodies.fragment_trees import TREES  # noqa: E402
-from fracture_collision.core.tree.max_distance_order import max_distance_order  # noqa: E402
+from fracture_collision.core.glondu2014.max_distance_order import max_distance_order  # noqa: E402
 from fracture_collision.geometry.generators import ball  # noqa: E402
 from fracture_collision.records import FragmentStates  # noqa: E402
-from fracture_collision.world import CollisionWorld, Settings  # noqa: E402
-from fracture_collision.world.settings import TRAVERSALS  # noqa: E402
+from fracture_collision.world import CollisionWorld, PaperSettings, Settings  # noqa: E402
+from fracture_collision.world.settings import CHOICES  # noqa: E402
 
 BODY = ball(1.0, 0.13)
+SETTINGS = Settings(threads=1, method="glondu2014", paper=PaperSettings(field="exact"))
 SEEDS = 20
 JITTERS = (0.003, 0.01, 0.03)  # [R]
 POSES = 10
@@ -39,19 +39,23 @@ def main() -> None:
     case = fractured_world(BODY, SEEDS)
     print(f"\nball of {len(BODY.vertices)} nodes, {len(case.oracle.fragment_ids)} pieces, {POSES} poses each\n")
     print(f"{'jitter':>8}{'tree':>14}{'traversal':>13}{'visits':>9}{'contacts':>10}{'spread':>8}{'update':>8}{'query':>8}")
-    updates = {tree: _update_time(case, SETTINGS._replace(tree=tree)) for tree in TREES}
+    updates = {tree: _update_time(case, _with(tree=tree)) for tree in CHOICES["tree"]}
     for jitter in JITTERS:
         states = [case.states(jitter, seed) for seed in range(POSES)]
         full = [_spreads(with_settings(case, SETTINGS._replace(contacts_per_pair=10**6)).contacts(s)) for s in states]
-        for tree in TREES:
-            for traversal in TRAVERSALS:
-                world = with_settings(case, SETTINGS._replace(tree=tree, traversal=traversal))
+        for tree in CHOICES["tree"]:
+            for traversal in CHOICES["traversal"]:
+                world = with_settings(case, _with(tree=tree, traversal=traversal))
                 visits, contacts, spread, query = _queries(world, states, full)
                 print(
                     f"{jitter:8.3f}{tree:>14}{traversal:>13}{visits:9.0f}{contacts:10.0f}{spread:8.3f}"
                     f"{1e3 * updates[tree]:8.2f}{1e3 * query:8.2f}"
                 )
     print(LEGEND)
+
+
+def _with(**variant: str) -> Settings:
+    return SETTINGS._replace(paper=SETTINGS.paper._replace(**variant))
 
 
 def _clouds():
@@ -107,6 +111,7 @@ def _queries(
     visits, contacts, shares, times = [], [], [], []
     for state, of_all in zip(states, full, strict=True):
         for _ in range(REPEATS):
+            world.forget()
             answer = world.contacts(state)
             times.append(world.last_timings["broad_phase"] + world.last_timings["narrow_phase"])
         visits.append(world.last_visits)

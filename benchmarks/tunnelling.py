@@ -1,6 +1,6 @@
 """Does something fast go through something thin? A rotating shard is thrown at a plate, without and with `lookahead`.
 
-    python -m benchmarks.tunnelling [--trials N] [--surfaces edges] [--csv docs/tunnelling.csv]
+    python -m benchmarks.tunnelling [--trials N] [--csv docs/tunnelling.csv]
     python -m benchmarks.tunnelling --cost plates bricks drop_bunnies@0.25
 
 A shard of 60 x 60 x 4 mm, in any orientation and spinning at up to 200 rad/s, is thrown at a fixed or free standing
@@ -77,10 +77,10 @@ def scene_of(speed: float, seed: int, is_fixed: bool) -> Scene:
     )  # fmt: skip
 
 
-def run_trial(scene: Scene, lookahead: float, surfaces: str = "sampled") -> Trial:
+def run_trial(scene: Scene, lookahead: float) -> Trial:
     energies, deepest, crossed, last = [], 0.0, False, None
     half = 0.5 * np.array(PLATE)
-    with Lockstep(scene, Settings(threads=1, lookahead=lookahead, surfaces=surfaces)) as lockstep:
+    with Lockstep(scene, Settings(threads=1, lookahead=lookahead)) as lockstep:
         for exchange in lockstep:
             energies.append(exchange.report.kinetic_energy)
             deepest = min(deepest, exchange.report.deepest_gap)
@@ -98,11 +98,11 @@ def run_trial(scene: Scene, lookahead: float, surfaces: str = "sampled") -> Tria
     return Trial(crossed and bool(last[1] > half[1]), 0.0 - deepest, gain)
 
 
-def measure(trials: int, surfaces: str) -> list[Row]:
+def measure(trials: int) -> list[Row]:
     rows = []
     cases = [(speed, fixed, ahead) for speed in SPEEDS for fixed in (True, False) for ahead in (0.0, TIME_STEP)]
     for speed, is_fixed, lookahead in track(cases, "trials"):
-        runs = [run_trial(scene_of(speed, seed, is_fixed), lookahead, surfaces) for seed in range(trials)]
+        runs = [run_trial(scene_of(speed, seed, is_fixed), lookahead) for seed in range(trials)]
         rows.append(
             Row(
                 speed, "fixed" if is_fixed else "free", "a step" if lookahead else "none", trials,
@@ -116,7 +116,6 @@ def measure(trials: int, surfaces: str) -> list[Row]:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.tunnelling", description=__doc__.split("\n\n")[0])
     parser.add_argument("--trials", type=int, default=48, help="of each speed, plate and lookahead (48)")
-    parser.add_argument("--surfaces", default="sampled", help="the service's setting (sampled)")
     parser.add_argument("--csv", type=Path, help="file for the rows")
     parser.add_argument("--cost", nargs="+", metavar="SCENE", help="no trials: what looking ahead costs in scenes")
     arguments = parser.parse_args()
@@ -129,7 +128,7 @@ def main() -> None:
             ],
         )
         return
-    rows = measure(arguments.trials, arguments.surfaces)
+    rows = measure(arguments.trials)
     show("a shard thrown at a plate", rows)
     if arguments.csv:
         with arguments.csv.open("w", newline="") as file:

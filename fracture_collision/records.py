@@ -193,7 +193,7 @@ class ContactConstraintArray(NamedTuple):
       fragment_b: (p,) uint32
       pair_begin: (p + 1,) uint32, where the contacts of each pair begin
       missed_depth_bound: (p,) float64 [m], no point of either surface is deeper in the other than the larger of this
-        and the deepest contact; with `surfaces: sampled`, no surface sample
+        and the deepest contact; with `method: glondu2014`, no surface sample
       friction: (p,) float64, geometric mean of the two coefficients
       restitution: (p,) float64, the larger of the two
       points_a: (3N,) float64 [m], world: witness point on a

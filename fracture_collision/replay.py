@@ -21,7 +21,7 @@ from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.exchanges import Question, Run, registry_settings
 from fracture_collision.bag.reader import recorded_settings
 from fracture_collision.records import ContactConstraintArray, FragmentStates, refusal_of
-from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
+from fracture_collision.world import CollisionWorld, InvalidMessage, PaperSettings, Settings, StatesAhead
 from fracture_collision.world.settings import OF_CONTACTS, check_settings
 
 # [s] While it waits for the recorded time, a replay checks this often whether to end.
@@ -300,16 +300,17 @@ def _other_settings(recorded: Settings, used: Settings) -> list[str]:
     return [f"the replay uses other settings than the recorded answers: {'; '.join(others)}"] if others else []
 
 
-# What a service did before it had the setting, where that is not today's default.
-BEFORE_THERE_WERE: dict[str, Any] = {"surfaces": "sampled"}
-
-
 def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) -> Settings:
-    settings = Settings(**BEFORE_THERE_WERE)
+    settings = Settings()
+    unknown = [name for name in values if name not in Settings._fields]
+    if unknown:
+        named = ", ".join(repr(name[:80]) for name in unknown[:9]) + ", ..." * (len(unknown) > 9)
+        words.append(f"the bag has settings of another version, which the replay ignores: {named}")
     for name, value in values.items():
-        if name not in Settings._fields:
-            words.append(f"the bag has the unknown setting {name[:80]!r}; the replay ignores it")
+        if name in unknown:
             continue
+        if name == "paper":
+            value = _variant(bag, value)
         kind = type(getattr(settings, name))
         taken: Any = float(value) if kind is float and type(value) is int else value
         if type(taken) is not kind:
@@ -320,6 +321,13 @@ def _checked_settings(bag: Path, values: Mapping[str, Any], words: list[str]) ->
     except ValueError as error:
         raise BagError(f"{bag}: the settings: {error}") from error
     return settings
+
+
+def _variant(bag: Path, value: Any) -> PaperSettings:
+    try:
+        return PaperSettings(**{name: str(choice) for name, choice in value.items()})
+    except (AttributeError, TypeError) as error:
+        raise BagError(f"{bag}: the setting paper: {str(value)[:80]!r} is not a variant of the method") from error
 
 
 def first_difference(run: Run, question: Question, answer: bytes) -> Difference:

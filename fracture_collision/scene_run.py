@@ -19,6 +19,7 @@ from fracture_collision.run_report import summaries
 from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates
 from fracture_collision.world import Settings
+from fracture_collision.world.settings import values_of
 
 MILLI = 1e3
 COUNTS = ("contacts", "colliding_points", "pairs", "visits")
@@ -136,7 +137,7 @@ class SceneRun:
         return {
             "scene": self.scene.name,
             "seed": self.seed,
-            "settings": self.settings._asdict(),
+            "settings": values_of(self.settings),
             "seconds": self._seconds,
             "finished": self._lockstep.simulation.finished,
             "digest": self._sha.hexdigest(),

@@ -28,7 +28,6 @@ KERNELS: dict[str, frozenset[str]] = {
     "one loop whose state is a dozen numbers that each iteration changes": frozenset({
         "fracture_collision/core/lookahead/first_touch.py: first_touch",
         "fracture_collision/core/search/sample_search.py: search_samples",
-        "fracture_collision/core/search/traversal.py: query_pair",
     }),
 }
 

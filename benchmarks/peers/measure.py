@@ -115,6 +115,7 @@ def _one_round(world: World, method: Method, times: _Times) -> float:
             started = perf_counter()
             method.query(world, state, jittered)
             times.first.append(perf_counter() - started)
+        method.forget(state)
         started = perf_counter()
         answer = method.query(world, state, frame)
         times.query[frame.kind].append(perf_counter() - started)

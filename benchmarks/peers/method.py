@@ -25,7 +25,7 @@ class Contacts(NamedTuple):
 
 
 class Method:
-    """One library in one setting. `update` and `query` are timed, `prepare` and `release` are not.
+    """One library in one setting. `update` and `query` are timed; `prepare`, `forget` and `release` are not.
 
     The constructor raises ImportError if the library is not installed.
     """
@@ -42,6 +42,9 @@ class Method:
     def update(self, world: World, before: Any) -> Any:
         """From the fracture to all fragments ready for queries; returns what `query` needs."""
         raise NotImplementedError
+
+    def forget(self, state: Any) -> None:
+        """Drops what it keeps from one query to the next: each frame is queried as if everything had moved."""
 
     def query(self, world: World, state: Any, frame: Frame) -> Contacts:
         raise NotImplementedError

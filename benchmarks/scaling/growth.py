@@ -14,8 +14,7 @@ from benchmarks.scaling.machine import second_core
 from benchmarks.scaling.piles import Pile, make_pile, world_of
 from fracture_collision.world import CollisionWorld, Settings
 
-# Piles are queried repeatedly without moving, each time as if they had moved.
-SEARCHED = Settings(threads=1, neighbour_lists=False, selection="complete")
+ONE_THREAD = Settings(threads=1)
 
 Progress = Callable[[str], None]
 
@@ -63,17 +62,21 @@ class ThreadsRow(NamedTuple):
 def measure_growth(
     source: World, sizes: Sequence[int], repeats: int = 7, progress: Progress = silent
 ) -> list[GrowthRow]:
-    """Piles of `sizes` fragments, all made first and then queried in turn, so that a slow phase affects all of them."""
+    """Piles of `sizes` fragments, all made first and then queried in turn, so that a slow phase affects all of them.
+
+    They do not move between queries; each is searched as if it had.
+    """
     worlds: list[tuple[CollisionWorld, Pile]] = []
     for size in sizes:
         progress(f"a pile of {size}")
         pile = make_pile(source, size)
-        worlds.append((world_of(pile, SEARCHED), pile))
+        worlds.append((world_of(pile, ONE_THREAD), pile))
     times: list[list[tuple[float, float, float]]] = [[] for _ in worlds]
     answers = [world.contacts(pile.states) for world, pile in worlds]  # warms up
     for i in range(repeats):
         progress(f"piles, round {i + 1} of {repeats}")
         for k, (world, pile) in enumerate(worlds):
+            world.forget()
             began = perf_counter()
             world.contacts(pile.states)
             whole = perf_counter() - began
@@ -109,7 +112,7 @@ def measure_threads(source: World, size: int, repeats: int = 15, progress: Progr
     """The same pile with one thread and two, in turn, in alternating order."""
     progress(f"a pile of {size} twice")
     pile = make_pile(source, size)
-    worlds = [world_of(pile, SEARCHED._replace(threads=threads)) for threads in (1, 2)]
+    worlds = [world_of(pile, ONE_THREAD._replace(threads=threads)) for threads in (1, 2)]
     answers = [world.contacts(pile.states) for world in worlds]
     times: list[list[float]] = [[], []]
     narrow: list[list[float]] = [[], []]
@@ -117,6 +120,7 @@ def measure_threads(source: World, size: int, repeats: int = 15, progress: Progr
     for i in range(repeats):
         progress(f"threads, round {i + 1} of {repeats}")
         for k in (0, 1) if i % 2 else (1, 0):
+            worlds[k].forget()
             began = perf_counter()
             worlds[k].contacts(pile.states)
             times[k].append(perf_counter() - began)

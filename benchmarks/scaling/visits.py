@@ -1,4 +1,4 @@
-"""Breakdown of a query's time: visits, nanoseconds per visit, and the lower bound for a visit on this machine."""
+"""Breakdown of the time of the paper's method with exact distances: visits, ns per visit, and a lower bound for one."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from benchmarks.peers.measure import KINDS
 from benchmarks.peers.worlds import World, empty_states, make_world
 from benchmarks.scaling.growth import Progress, silent
 from benchmarks.scaling.machine import Machine, measure_machine
+from benchmarks.studies.scene_trials import PAPERS
 from fracture_collision.records import FragmentStates
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world import CollisionWorld
 
 WORLDS = ("ball20", "ball20w", "shell20w")
 TREE_ENTRY = 44  # [bytes] of a node of a sphere tree: centre, radius, and its entry
@@ -22,7 +23,7 @@ TETRAHEDRON = 128
 
 
 class Work(NamedTuple):
-    """The work of one visit, counted in core/search/traversal, elementary_queries, point_location and flood.
+    """The work of one visit, counted in glondu2014/algorithm1, elementary_queries, point_location and flood of core.
 
     Counts only what the outcome depends on: the one tetrahedron that holds the point, not those tried before it; the
     one nearest triangle. Working memory (queues, poses, the other's box) is assumed to be in cache.
@@ -42,9 +43,9 @@ CULLED = Work("culled child", 2, 1, 45, 22, 1)
 # weights in two lines (21) and their slack (9), the tetrahedron's fragment.
 LOCATED = Work("located sample outside", 2 + 6, 1 + 4, 45 + 17 + 12 + 30, 22 + 12 + 14, 4)
 # As above; the tetrahedron's four faces as bounds of the depth (56), its list of triangles (begin, count, kind, front,
-# back), one plane (7) and one triangle (three lines; 110), the direction (20), the crack's normal from three planes
-# (30), two points and a normal transformed to the world (45) and written (three lines).
-LISTED = Work("listed contact", 8 + 5 + 3 + 3 + 3, 5 + 3, 104 + 56 + 7 + 110 + 20 + 30 + 45, 48 + 60, 10)
+# back), one plane (7) and one triangle (three lines; 110), the direction (20), two points and a normal transformed to
+# the world (45) and written (three lines).
+LISTED = Work("listed contact", 8 + 5 + 3 + 3, 5 + 3, 104 + 56 + 7 + 110 + 20 + 45, 48 + 38, 10)
 KINDS_OF_VISIT = (CULLED, LOCATED, LISTED)
 
 
@@ -91,7 +92,7 @@ def measure_visits(
     for name in names:
         progress(f"visits: {name}")
         world = make_world(name)
-        service = CollisionWorld(Settings(threads=1, neighbour_lists=False, selection="complete"))
+        service = CollisionWorld(PAPERS)
         service.add_body(world.body)
         service.add_fracture(world.event)
         service.contacts(empty_states(1))
@@ -120,6 +121,7 @@ def _measure(world: World, service: CollisionWorld, kind: str, repeats: int, flo
     pairs, contacts, visits, shares, narrow, both = [], [], [], [], [], []
     for i in range(repeats + 1):
         for state in states:
+            service.forget()
             answer = service.contacts(state)
             if i == 0:  # warm-up
                 pairs.append(service.last_pairs)

@@ -109,9 +109,10 @@ EPILOG = f"""\b
 What must hold at the end of each run, and in each of its steps:
   unsup.       no body at rest is unsupported: contact forces within the friction cones carry it
                (test/truth/static_support.py)
-  deepest      no point of a body at rest is deeper in another than epsilon, {100.0 * EPSILON:g} % of R, half the
-               longest side of the smaller one; measured over whole surfaces by a world of its
-               own. listed: the deepest contact of the answer that the simulator itself gets
+  deepest      no body at rest is deeper in another than epsilon, {100.0 * EPSILON:g} % of R, half the longest side
+               of the smaller one; by all samples and, where these leave it open, by libigl over
+               whole surfaces. listed: the deepest contact of the answer that the simulator itself
+               gets
   energy       kinetic and potential energy is no larger than in the step before, to {ROUNDING:g} of the
                largest so far; the work of a hand is subtracted. solved: what drift correction
                lifted is subtracted too; this does not count for right. steps: those judged: not

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,16 +25,13 @@ from fracture_collision.records import (  # noqa: E402
 from fracture_collision.simulation.engine.engine import BodyStates  # noqa: E402
 from fracture_collision.simulation.scene.scene import Scene  # noqa: E402
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy  # noqa: E402
-from fracture_collision.world import CollisionWorld, Settings  # noqa: E402
+from fracture_collision.world import CollisionWorld, PaperSettings, Settings  # noqa: E402
 from fracture_collision.world.inspection import every_contact  # noqa: E402
 
 EPSILON = Settings().penetration_tolerance  # [R]
-# A world of its own searches whole surfaces for depths, to FINEST. Where it leaves open whether a pair is deeper than
-# epsilon, libigl says so: the search may end before a pair almost in place is settled, and a contact of crossing edges
-# is as deep as the way along the direction across both, up to a fifth farther out than the nearest in these scenes.
-FINEST = EPSILON / 20.0  # [R]
-DOUBT = 1.5  # depths up to so many times epsilon are left open
-MEASURED = Settings(threads=1, surfaces="searched", normals="nearest", penetration_tolerance=FINEST)
+FINEST = EPSILON / 20.0  # [R] resolution of libigl's search of surfaces
+# Depths of samples along the shortest way out: the paper's method, with exact distances.
+NEAREST = Settings(threads=1, method="glondu2014", paper=PaperSettings(field="exact"))
 # [of the energy so far] Lifts what is 10 cm high by 1 nm, a few atoms. The solver itself lets a step gain 1e-7 of the
 # energy m g^2 h^2 / 2 that gravity gives a body in it (ROUNDING of solver/contact_step.py), 3e-11 at 10 cm and 2.5 ms,
 # as long as its rounds suffice.
@@ -193,21 +190,52 @@ def moved(before: BodyStates, after: BodyStates, time_step: float) -> np.ndarray
 def deepest_of(
     told: tuple[Iterable[CollisionBody], Iterable[FractureEvent]], states: FragmentStates, restless: np.ndarray
 ) -> Overlap:
-    """Of all pairs with no fragment of `restless`, measured apart from the run's service."""
-    world = CollisionWorld(MEASURED)
+    """Of all pairs with no fragment of `restless`, measured apart from the run's service.
+
+    A pair is as deep as its deepest sample. Where none is deeper than epsilon and the two may be, by their contacts and
+    their bound, libigl searches their whole surfaces.
+    """
+    nearest, world = _world_of(told, NEAREST), _world_of(told, Settings(threads=1))
+    samples, answer, poses = every_contact(nearest, states), every_contact(world, states), Poses(states)
+    depths = dict(_depths_of(samples, restless))
+    found = _deepest_pair(samples, _radii(nearest, states, samples), restless)
+    for i, radius in enumerate(_radii(world, states, answer).tolist()):
+        pair, allowed = (int(answer.fragment_a[i]), int(answer.fragment_b[i])), EPSILON * radius
+        listed = -float(answer.gaps[answer.pair_begin[i] : answer.pair_begin[i + 1]].min(initial=0.0))
+        may_be_deep = max(listed, float(answer.missed_depth_bound[i])) > allowed
+        if np.isin(pair, restless).any() or not may_be_deep or depths.get(pair, 0.0) > allowed:
+            continue
+        one, other = (_surface(world, poses, fragment) for fragment in pair)
+        # contacts of a plane or a ball are exact
+        depth = _by_libigl(one, other, allowed, FINEST * radius) if len(one) and len(other) else listed
+        if depth > found.depth * radius:
+            found = Overlap(depth / radius, depth, pair)
+    return found
+
+
+def _world_of(
+    told: tuple[Iterable[CollisionBody], Iterable[FractureEvent]], settings: Settings
+) -> CollisionWorld:
+    world = CollisionWorld(settings)
     for body in told[0]:
         world.add_body(body)
     for event in told[1]:
         world.add_fracture(event)
-    answer, poses = every_contact(world, states), Poses(states)
+    return world
 
-    def by_libigl(a: int, b: int, more_than: float, finest: float) -> float | None:
-        one, other = (_surface(world, poses, fragment) for fragment in (a, b))
-        if not (len(one) and len(other)):
-            return None  # a plane or a ball: its contacts are exact
-        return max(Solid(p).deepest_of(q, more_than, finest).depth for p, q in ((one, other), (other, one)))
 
-    return _deepest_pair(answer, _radii(world, states, answer), restless, by_libigl)
+def _by_libigl(one: np.ndarray, other: np.ndarray, more_than: float, finest: float) -> float:
+    """[m] Depth of the deepest point of either surface in the other, 0 if none is deeper than `more_than`.
+
+    That none is, is known to `finest` [m]; how deep the deepest is, to a quarter of its depth: faces that lie in each
+    other flush have very many points as deep.
+    """
+    solids, finer = ((Solid(one), other), (Solid(other), one)), 4.0 * more_than
+    while True:
+        depth = max(solid.deepest_of(triangles, more_than, finer).depth for solid, triangles in solids)
+        if finer <= max(0.25 * depth, finest):
+            return depth
+        finer = max(0.5 * finer, finest)
 
 
 def _surface(world: CollisionWorld, poses: Poses, fragment: int) -> np.ndarray:
@@ -225,29 +253,21 @@ def _radii(world: CollisionWorld, states: FragmentStates, answer: ContactConstra
     return np.minimum(*ends)
 
 
-def _deepest_pair(
-    answer: ContactConstraintArray,
-    radii: np.ndarray,
-    restless: np.ndarray,
-    measure: Callable[[int, int, float, float], float | None] | None = None,
-) -> Overlap:
-    """Of the pairs with no fragment of `restless`.
+def _depths_of(
+    answer: ContactConstraintArray, restless: np.ndarray
+) -> Iterator[tuple[tuple[int, int], float]]:
+    """Each pair with no fragment of `restless`, and the depth [m] of its deepest contact; 0 if none penetrates."""
+    for i, pair in enumerate(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True)):
+        if not np.isin(pair, restless).any():
+            gaps = answer.gaps[answer.pair_begin[i] : answer.pair_begin[i + 1]]
+            yield pair, -float(gaps.min(initial=0.0))
 
-    radii: (n,) [m] R of all pairs; measure: the depth [m] of two fragments, 0 if it is no more than a depth [m], to a
-    resolution [m]; None if it cannot tell. It is asked for pairs of which it is open whether they are deeper than
-    epsilon.
-    """
-    is_judged = ~(np.isin(answer.fragment_a, restless) | np.isin(answer.fragment_b, restless))
-    found = Overlap()
-    for i in np.flatnonzero(is_judged).tolist():
-        pair, radius = (int(answer.fragment_a[i]), int(answer.fragment_b[i])), float(radii[i])
-        depth = -float(answer.gaps[answer.pair_begin[i] : answer.pair_begin[i + 1]].min(initial=0.0))
-        most = max(depth, float(answer.missed_depth_bound[i]))
-        allowed = EPSILON * radius
-        if measure is not None and most > allowed and depth <= DOUBT * allowed:
-            measured = measure(*pair, allowed, FINEST * radius)
-            if measured is not None:
-                depth = max(measured, min(depth, allowed))
-        if depth > found.depth * radius:
-            found = Overlap(depth / radius, depth, pair)
+
+def _deepest_pair(answer: ContactConstraintArray, radii: np.ndarray, restless: np.ndarray) -> Overlap:
+    """Of the pairs with no fragment of `restless`, by their contacts; radii: (n,) [m] R of all pairs."""
+    pairs = zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True)
+    of, found = dict(zip(pairs, radii.tolist(), strict=True)), Overlap()
+    for pair, depth in _depths_of(answer, restless):
+        if depth > found.depth * of[pair]:
+            found = Overlap(depth / of[pair], depth, pair)
     return found

@@ -41,12 +41,8 @@ STYLES = dict(
 SETTINGS = {
     "contacts_per_pair": ("contacts per pair", "#0072B2", "o"),
     "penetration_tolerance": ("penetration tolerance, % R", "#D55E00", "s"),
-    "visit_budget": ("visits a step", "#009E73", "^"),
     RESOLUTION: ("resolution (surface frequency)", "#000000", "D"),
-    "selection": ("selection", "#8C564B", "h"),
-    "normals": ("normals", "#CC79A7", "v"),
-    "field": ("field", "#E69F00", "P"),
-    "tree": ("trees", "#56B4E9", "X"),
+    "method": ("method", "#E69F00", "P"),
 }
 NOTHING = {"color": "#777777", "lw": 0.9, "ls": ":"}  # when no contact is reported
 ERROR = "remaining + unnecessary [% R]"

@@ -74,7 +74,7 @@ def setting_lines(points: Sequence[Point]) -> dict[str, list[tuple[str, Point]]]
     for setting, line in lines.items():
         if default is not None:
             line.append((str(_DEFAULTS.get(setting, "")), default))
-        line.sort(key=lambda item: _number(item[0]) or math.inf)  # no budget sorts last
+        line.sort(key=lambda item: _number(item[0]))
         lines[setting] = [("" if p is default else _words(setting, value), p) for value, p in line]
     return lines
 
@@ -91,6 +91,4 @@ def _words(setting: str, value: str) -> str:
         return "every contact" if int(value) == EVERY_CONTACT else value
     if setting == "penetration_tolerance":
         return f"{100.0 * float(value):g} %"
-    if setting == "visit_budget":
-        return f"{int(value):,}"
     return value

@@ -36,7 +36,7 @@ SHEETS = (
         "Target: query time grows with at most the 1.15th power of the number of close pairs.",
         (
             Column("fragments", "fragments", 0), Column("close pairs", "close_pairs", 0),
-            Column("contacts", "contacts", 0), Column("visited nodes", "visits", 0),
+            Column("contacts", "contacts", 0), Column("visits", "visits", 0),
             Column("broad phase, ms", "broad_phase", 2), Column("whole query, ms", "whole", 1),
             Column("µs per pair", "microseconds_a_pair", 1),
         ),
@@ -115,7 +115,7 @@ SHEETS = (
     ),
     Sheet(
         "visits",
-        "Time per visited node",
+        "Time per visited node of the paper's method",
         "Visited sphere-tree nodes and the time per visit in ns, median and best round. The two bounds count only the"
         " loads and flops that the outcome depends on, and assume that every visit that does not become a contact is"
         " culled. In the throughput bound loads and flops run at full speed; in the latency bound each step waits for"

@@ -47,8 +47,8 @@ def peers_section(folder: Path) -> str:
 - *Depth error:* of a pair's deepest contact, in % R. Ours measures depth along a crack's normal, which is longer than
   the nearest distance by design; what a solver would see is the error of "Speed against error".""",
         '"Ours" has the default settings, and its own surfaces; "ours, same meshes" gets the closed meshes, as the'
-        ' others do. "Ours, complete" is the paper\'s rule: the contacts of samples alone, up to all that are deeper'
-        " than 0.2 % R.",
+        ' others do. "Ours, glondu2014" is the paper\'s method, with exact or averaged distances: the contacts of'
+        " samples alone, up to all that are deeper than 0.2 % R.",
     ]
     known = [column for column in ERRORS if column[1] in rows[0]]  # older files lack some
     if known[-1] == ERRORS[-1]:
@@ -115,14 +115,13 @@ Which targets are reachable on this machine, by `python -m benchmarks.scaling li
   fragments' meshes are free for rapier.
 - *Lower bound:* the time to read and write only the data that the same answer depends on; in a query, each step waits
   for the one before. If a target is below this bound, no program meets it that lists the same contacts and finds its
-  data in the shared cache, as here. With `selection: complete` these contacts are all that are deeper than 0.2 % R:
-  thousands, where hulls give hundreds. If a target is above the bound, it may or may not be reachable.
+  data in the shared cache, as here. If a target is above the bound, it may or may not be reachable.
 - *Without search:* our time if the result is known in advance. A target below it could not be met even if search and
   checks took no time.
   - *Query:* the contacting samples are known. They are located, their nearest surface is found and their normals are
     turned. The rest of a query is the search for them and the proof that there are no others.
-  - *Update:* the cut tetrahedra are known. Their polygons are written, their masses are added up, and the trees are
-    divided among the fragments. The rest of an update is checks, digests, cells, seeds and hulls."""
+  - *Update:* the cut tetrahedra are known. Their polygons are written, their masses are added up, and the samples are
+    dealt to the fragments. The rest of an update is checks, digests, cells, seeds, hulls and ridges."""
     return "\n\n".join(("## Lower bounds", text, "\n".join(lines), made(folder / LIMITS, rows))) + "\n"
 
 

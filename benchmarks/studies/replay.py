@@ -33,7 +33,7 @@ class Answers(NamedTuple):
 
     query: np.ndarray  # validation, broad and narrow phase; the shortest of all repetitions
     update: np.ndarray  # events applied, registry ready, masses included; 0 in a step without events
-    visits: np.ndarray  # sphere tree nodes tested
+    visits: np.ndarray  # sphere tree nodes tested; of method `exact`, leaves and samples
     contacts: np.ndarray
     pairs: np.ndarray
     longest_query: np.ndarray  # of all repetitions

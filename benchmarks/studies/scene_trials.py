@@ -11,12 +11,12 @@ from fracture_collision.run_report import summaries
 from fracture_collision.scene_run import SceneRun
 from fracture_collision.simulation.scene.scene import Scene, load_scene
 from fracture_collision.simulation.scene.scene_changes import with_curvature
-from fracture_collision.world import Settings
+from fracture_collision.world import PaperSettings, Settings
 
 # The paper's times are for one core.
-ONE_THREAD = Settings(threads=1, selection="complete")  # as in the paper
-# For comparisons of searches: each step is searched from scratch, and samples only, as in the paper.
-SEARCHED = ONE_THREAD._replace(neighbour_lists=False, surfaces="sampled")
+ONE_THREAD = Settings(threads=1)
+# The paper's method, with exact distances.
+PAPERS = Settings(threads=1, method="glondu2014", paper=PaperSettings(field="exact"))
 # In PatternSettings, as in porcelain.
 CURVATURE = {"flat": 0.0, "curved": 0.25}
 

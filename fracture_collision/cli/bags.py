@@ -45,12 +45,11 @@ def record(
     from fracture_collision.ros.runs.scene_recording import Selection, record_scene
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
     from fracture_collision.simulation.scene.scene_changes import with_curvature
-    from fracture_collision.world.settings import Settings, check_settings
+    from fracture_collision.world.settings import for_step
 
     try:
         scene = load_scene(name)
-        chosen = Settings(**{"lookahead": scene.time_step} | parse_settings(settings))
-        check_settings(chosen)
+        chosen = for_step(scene.time_step, parse_settings(settings))
         if curvature is not None:
             scene = with_curvature(scene, curvature)
         if out.exists():

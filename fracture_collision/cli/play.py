@@ -19,7 +19,7 @@ On the page:
   click              throw a ball there (speed and size by slider)
   drag a fragment    pull it by a spring
   arrow keys         drive the hammer; `fracture-collision teleop` and other publishers of cmd_vel do as well
-  settings           contacts_per_pair, penetration_tolerance, field and visit_budget of the service
+  settings           contacts_per_pair, penetration_tolerance and method of the service
   rewind 10 s        go back and try again; the scene waits there, paused
   upload a mesh      your own body, to smash
   help               explains every control

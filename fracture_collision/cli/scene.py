@@ -20,7 +20,7 @@ EXAMPLES = """\b
 Examples:
   fracture-collision scene drop_bunnies
   fracture-collision scene bricks --seed 3 --curvature 0.25   other cracks, and curved
-  fracture-collision scene plates --settings contacts_per_pair=6,tree=plain
+  fracture-collision scene plates --settings contacts_per_pair=6,method=glondu2014
   fracture-collision scene piggy_bank --count-colliding       how many points collide in all
   fracture-collision scene reference_sphere:coarse_inside     a variant defined in the file
   fracture-collision scene my.yaml --steps 200 --no-pictures  your own scene, its first steps
@@ -78,13 +78,11 @@ def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, op
     from fracture_collision.scene_run import SceneRun
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
     from fracture_collision.simulation.scene.scene_changes import with_curvature
-    from fracture_collision.world.settings import Settings, check_settings
+    from fracture_collision.world.settings import for_step
 
     try:
         what = load_scene(name)
-        given = {"lookahead": what.time_step} | parse_settings(options.settings) | {"threads": options.threads}
-        chosen = Settings(**given)
-        check_settings(chosen)
+        chosen = for_step(what.time_step, parse_settings(options.settings) | {"threads": options.threads})
         if options.curvature is not None:
             what = with_curvature(what, options.curvature)
         if options.steps is not None:
@@ -125,15 +123,15 @@ def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, op
 def parse_settings(assignments: tuple[str, ...]) -> dict[str, Any]:
     """The service's settings given as NAME=VALUE, separated by commas; ValueError names what is wrong."""
     from fracture_collision.near_names import did_you_mean
-    from fracture_collision.world import Settings
+    from fracture_collision.world.settings import OF_SERVICE, Settings
 
     given: dict[str, Any] = {}
     for assignment in ",".join(assignments).split(",") if assignments else ():
         name, equals, value = (part.strip() for part in assignment.partition("="))
         if not equals:
             raise ValueError(f"--settings {assignment}: pass NAME=VALUE, such as contacts_per_pair=6")
-        if name not in Settings._fields:
-            hint = did_you_mean(name, Settings._fields)
+        if name not in OF_SERVICE:
+            hint = did_you_mean(name, OF_SERVICE)
             raise ValueError(f"--settings: no setting {name!r}{hint or ';'} `fracture-collision settings` lists all")
         kind = type(getattr(Settings(), name))
         try:

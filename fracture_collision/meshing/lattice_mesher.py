@@ -16,15 +16,13 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.bodies.pool_tables import PoolTables
 from fracture_collision.core.memory.compiled import kernel
-from fracture_collision.core.memory.pools import ALTERNATING, EXACT, NEAREST
 from fracture_collision.core.mesh.connected_pieces import connected_pieces
 from fracture_collision.core.mesh.triangle_field import (
     STACK,
-    append_triangle_mesh,
     build_triangle_mesh,
     triangle_distance,
+    triangle_pool,
 )
 from fracture_collision.geometry.generators import TetGeometry, oriented, require_affordable, require_positive
 from fracture_collision.geometry.surface_meshing import require_closed_surface
@@ -74,9 +72,7 @@ class _Surface:
     """Exact distances from a closed surface."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
-        tables = PoolTables(ALTERNATING, EXACT, NEAREST)
-        append_triangle_mesh(tables.triangles, build_triangle_mesh(vertices, triangles))
-        self._meshes = tables.pools.triangles
+        self._meshes = triangle_pool(build_triangle_mesh(vertices, triangles))
         self._radius = 0.5 * float(np.ptp(vertices, axis=0).max())
 
     def depths(self, points: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from fracture_collision.records import (
     SolidPrimitive,
 )
 from fracture_collision.world.gates.errors import InvalidMessage, StatesAhead
-from fracture_collision.world.settings import Settings
+from fracture_collision.world.settings import PaperSettings, Settings
 
 if TYPE_CHECKING:
     from fracture_collision.world.collision_world import CollisionWorld
@@ -32,6 +32,7 @@ __all__ = [
     "FragmentRegistry",
     "FragmentStates",
     "InvalidMessage",
+    "PaperSettings",
     "Settings",
     "SolidPrimitive",
     "StatesAhead",

@@ -10,24 +10,18 @@ import numpy as np
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.core.contacts.contact_choice import Rule
-from fracture_collision.core.edges.ridges import NO_RIDGES, Ridges
+from fracture_collision.core.glondu2014.paper_pairs import query_by_paper
 from fracture_collision.core.lookahead.motion import NO_MOTION, Motion, fastest, motion_of
 from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.pair import Step
-from fracture_collision.core.mesh.surface_elements import ElementTable
 from fracture_collision.core.pair.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
-from fracture_collision.core.pair.narrow_phase import (
-    NOTHING_REMEMBERED,
-    UNLIMITED,
-    Remembered,
-    Scene,
-    WorkLimits,
-    query_pairs,
-)
+from fracture_collision.core.pair.narrow_phase import NOTHING_REMEMBERED, Remembered, Scene, query_pairs
 from fracture_collision.core.pair.pair_search import Geometry
 from fracture_collision.core.patches.interlocked import SurfaceTable
-from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes
+from fracture_collision.core.search.kept_answer import PairContacts
+from fracture_collision.core.search.passes import within_limit
 from fracture_collision.core.search.scratch import Scratch, scratch_for
+from fracture_collision.core.search.work_limit import share_work
 from fracture_collision.process.compile_progress import report_compilation
 from fracture_collision.records import (
     CollisionBody,
@@ -45,15 +39,7 @@ from fracture_collision.world.gates.states_gate import CheckedStates, check_stat
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.present import Present, find_fragments, take_places
 from fracture_collision.world.registry import Registry
-from fracture_collision.world.settings import (
-    SEARCHED,
-    Settings,
-    check_settings,
-    geometry_settings,
-    has_edges,
-    most_listed,
-    settings_text,
-)
+from fracture_collision.world.settings import Settings, check_settings, settings_text
 
 # [m], [rad] Largest translation and rotation accepted within the lookahead time.
 FARTHEST_AHEAD = 1e5
@@ -85,20 +71,18 @@ class CollisionWorld:
         check_settings(self.settings)
         self._ledger = Ledger(self.settings)
         self._registry = Registry(self.settings)
-        self._built_for: tuple[str | bool, ...] | None = geometry_settings(self.settings)
+        self._built_for: tuple[object, ...] | None = _built_for(self.settings)
         self._events_asked_with = 0  # number of events known at the last states
         self._crew = _crew_of(self.settings)
         self._scratch: tuple[Scratch, ...] = ()
         # Caches of the last answer, each with the state it is valid for; they speed up the next one, never change it
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
-        self._surfaces: ElementTable | None = None
-        self._surfaces_of = self._what_is_remembered_of()
         self._whole, self._whole_of = SurfaceTable(), (self._registry, self._registry.renumbered)
         self._whole_at = self._registry.changes
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
-        self.last_visits = 0  # tree nodes tested by the last answer
+        self.last_visits = 0  # leaves and samples, or tree nodes, that the last answer looked at
         self.last_pairs = 0  # fragment pairs that its broad phase found
 
     def add_body(self, body: CollisionBody) -> None:
@@ -131,16 +115,19 @@ class CollisionWorld:
 
         Bodies and events stay. Limits apply to later messages; existing content may exceed them.
 
-        After a change of `field`, `normals`, `tree`, `traversal`, or to or from `surfaces="sampled"`, the registry is
-        rebuilt from the event log when it is next needed. Raises ValueError, and changes nothing, if a setting is out
-        of range.
+        After a change of `method` or `paper`, the registry is rebuilt from the event log when it is next needed. Raises
+        ValueError, and changes nothing, if a setting is out of range.
         """
         check_settings(settings)
         if settings.threads != self.settings.threads:
             self._crew, self._scratch = _crew_of(settings), ()
         self._ledger.change_limits(settings)
-        self._remembered, self._answered = NOTHING_REMEMBERED, _NOTHING_ANSWERED
+        self.forget()
         self.settings = settings
+
+    def forget(self) -> None:
+        """Drop what is kept of earlier answers: the next has the same contacts and takes as long as a first one."""
+        self._remembered, self._answered, self._paired = NOTHING_REMEMBERED, _NOTHING_ANSWERED, NOTHING_PAIRED
 
     def contacts(self, states: FragmentStates) -> ContactConstraintArray:
         """All contacts of the fragments that `states` names, and of the static ones, at its registry.
@@ -154,15 +141,13 @@ class CollisionWorld:
         static_until = self._registry.static_until(checked.body_sequence)
         columns = checked[2:7] if self.settings.lookahead else checked[2:5]
         asked = (*(column.tobytes() for column in columns), static_until.to_bytes(8, "little"))
-        if self.settings.neighbour_lists and (again := self._answer_again(checked, asked)) is not None:
+        if (again := self._answer_again(checked, asked)) is not None:
             self.last_visits = 0
             self.last_timings = {"update": updated - started, "broad_phase": 0.0, "narrow_phase": 0.0}
             return again
         here = take_places(checked, self._registry.living(), moving, static_until)
         rows, positions, rotations = here.rows, here.positions, here.rotations
         pools = self._registry.geometry.pools
-        edges = self._edges_to_search()
-        self._scratch = scratch_for(pools, rows, self._crew.threads, self._scratch, edges)
         motion = self._motion_of(here)
         radius, paired = pairs_within_reach(
             pools.fragment, (rows, rotations, positions), motion, here.is_static, self.settings.detection_tolerance,
@@ -175,25 +160,44 @@ class CollisionWorld:
                 f"positions: the boxes of more than {self.settings.max_pairs} pairs of fragments overlap (max_pairs)",
             )
         pairs_found = perf_counter()
-        remembered = self._take_remembered() if self.settings.neighbour_lists else None
-        scene = Scene(
-            Geometry(pools, edges, self._shapes_to_search()), Step(rows, rotations, positions, pairs), motion,
-            paired.overlaps, self._whole_surfaces(), self._surfaces_to_search(), self._registry.changes,
-        )  # fmt: skip
-        found, now_remembered = query_pairs(
-            scene, _rule(self.settings), self._scratch, self._crew, remembered, _work_limits(self.settings, len(pairs))
-        )
+        found = self._query(Step(rows, rotations, positions, pairs), paired.boxes, motion)
         answer = contact_answer(checked, here, radius, pairs, found, self.settings)
-        if remembered is not None:
-            self._remembered, self._paired = now_remembered, paired
-            self._answered = _Answered(*self._asked_of(), asked, answer)
-            answer = _copy_of(answer)
+        self._paired, self._answered = paired, _Answered(*self._asked_of(), asked, answer)
+        answer = _copy_of(answer)
         self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)
         self.last_timings = {
             "update": updated - started, "broad_phase": pairs_found - updated,
             "narrow_phase": perf_counter() - pairs_found,
         }  # fmt: skip
         return answer
+
+    def _query(self, step: Step, boxes: np.ndarray, motion: Motion) -> PairContacts:
+        """The contacts of all pairs of a Step whose fragments have these world boxes (n, 6) [m]."""
+        settings, geometry = self.settings, self._registry.geometry
+        pools, most = geometry.pools, settings.max_work
+        every, within = share_work(pools, step.rows, step.pairs, boxes, most)
+        rule = Rule(
+            settings.contacts_per_pair, 2 * settings.contacts_per_pair, settings.penetration_tolerance,
+            settings.detection_tolerance, every,
+        )  # fmt: skip
+        ranges, threads = (pools.fragment.sample_begin, pools.fragment.sample_end), self._crew.threads
+        if geometry.paper is not None:
+            paper = geometry.paper.pools
+            ranges = paper.trees.ranges[:, 0], paper.trees.ranges[:, 1]
+        self._scratch = scratch_for(
+            len(pools.mesh.tetrahedra), ranges, step.rows, threads, self._scratch, geometry.ridges
+        )
+        own = self._scratch, self._crew
+        if geometry.paper is not None:
+            found = query_by_paper(pools, paper, step, rule, within, own)
+        else:
+            found, self._remembered = query_pairs(self._scene(step, motion), rule, *own, self._take_remembered())
+        return within_limit(pools, step, found, settings.max_contacts, self._scratch[0])
+
+    def _scene(self, step: Step, motion: Motion) -> Scene:
+        geometry = self._registry.geometry
+        parts = Geometry(geometry.pools, geometry.ridges, geometry.shapes)
+        return Scene(parts, step, motion, self._registry.changes, self._whole_surfaces())
 
     @property
     def geometry(self) -> CollisionGeometry:
@@ -248,7 +252,7 @@ class CollisionWorld:
 
         Replays the log from the beginning if the registry is past `sequence`; removing a body replays nothing.
         """
-        built_for = geometry_settings(self.settings)
+        built_for = _built_for(self.settings)
         gone, added = self._ledger.take_changes()
         if sequence < self._registry.sequence or self._built_for != built_for:
             self._registry = Registry(self.settings)
@@ -301,18 +305,8 @@ class CollisionWorld:
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, holds_for
         return remembered
 
-    def _edges_to_search(self) -> Ridges:
-        """Ridges of all fragments; none where their crossings are not searched."""
-        return self._registry.geometry.ridges if has_edges(self.settings) else NO_RIDGES
-
-    def _shapes_to_search(self) -> Shapes:
-        """Hulls and surfaces of all fragments; none where contacts are samples alone."""
-        return self._registry.geometry.shapes if has_edges(self.settings) else NO_SHAPES
-
-    def _whole_surfaces(self) -> SurfaceTable | None:
-        """Surfaces of concave fragments, likewise built on demand; as they are divided now, whenever that is."""
-        if not has_edges(self.settings):
-            return None
+    def _whole_surfaces(self) -> SurfaceTable:
+        """Surfaces of concave fragments, built on demand; as they are divided now, whenever that is."""
         holds_for = self._registry, self._registry.renumbered
         if self._whole_of != holds_for or self._whole.is_mostly_garbage:
             self._whole, self._whole_of = SurfaceTable(), holds_for
@@ -320,15 +314,6 @@ class CollisionWorld:
             self._whole.forget(self._registry.rows_broken_since(self._whole_at))
         self._whole_at = self._registry.changes
         return self._whole
-
-    def _surfaces_to_search(self) -> ElementTable | None:
-        """Surface elements, built on demand and kept as long as rows keep their numbers."""
-        if self.settings.surfaces != SEARCHED:
-            return None
-        holds_for = self._what_is_remembered_of()
-        if self._surfaces is None or self._surfaces_of != holds_for:
-            self._surfaces, self._surfaces_of = ElementTable(), holds_for
-        return self._surfaces
 
     def _what_is_remembered_of(self) -> tuple[Registry, int, Settings]:
         return self._registry, self._registry.renumbered, self.settings
@@ -346,20 +331,9 @@ def _copy_of(answer: ContactConstraintArray) -> ContactConstraintArray:
     return ContactConstraintArray._make([v.copy() if isinstance(v, np.ndarray) else v for v in answer])
 
 
-def _rule(settings: Settings) -> Rule:
-    return Rule(
-        settings.contacts_per_pair, most_listed(settings), settings.penetration_tolerance,
-        settings.detection_tolerance, UNLIMITED,
-    )  # fmt: skip
-
-
-def _work_limits(settings: Settings, pairs: int) -> WorkLimits:
-    """Limits for a step of so many pairs."""
-    budget = max(settings.visit_budget // pairs, 1) if settings.visit_budget and pairs else 0
-    return WorkLimits(
-        budget, settings.max_visits, settings.max_further_visits,
-        max(settings.max_contacts_per_pair, settings.contacts_per_pair), settings.max_contacts,
-    )  # fmt: skip
+def _built_for(settings: Settings) -> tuple[object, ...]:
+    """The settings a registry is built with; a change of any of them rebuilds it from the event log."""
+    return settings.method, settings.paper
 
 
 def _crew_of(settings: Settings) -> Crew:

@@ -59,30 +59,28 @@ class AnswerErrors(NamedTuple):
 
     listed: int  # contacts
     colliding: int  # all contacts
-    unlisted: float  # [m] deepest penetration that is not listed
+    unlisted: float  # [m] deepest penetration that is deeper than all that are listed of its pair
     promised: float  # [m] depth that the missed depth bounds, or epsilon for a pair without one, allow to be unlisted
-    too_shallow: float  # [m] most by which the answer understates a listed penetration
 
 
 def asked_with(world: CollisionWorld, states: FragmentStates, **settings: Any) -> ContactConstraintArray:
     """The contacts that a world with other `settings` would answer at `states`.
 
-    `world` keeps its own settings and neighbour lists.
+    `world` keeps its own settings.
     """
     chosen = world.settings
-    world.settings = chosen._replace(**settings | {"neighbour_lists": False})
+    world.change_settings(chosen._replace(**settings))
     try:
         return world.contacts(states)
     finally:
-        world.settings = chosen
+        world.change_settings(chosen)
 
 
 def every_contact(world: CollisionWorld, states: FragmentStates) -> ContactConstraintArray:
     """The contacts at `states` if each pair had room for all: what self-adapting selection (5.2) chooses from."""
     return asked_with(
-        world, states, contacts_per_pair=EVERY_CONTACT, visit_budget=0, max_visits=EVERY_CONTACT,
-        max_further_visits=EVERY_CONTACT, max_contacts=EVERY_CONTACT,
-    )  # fmt: skip
+        world, states, contacts_per_pair=EVERY_CONTACT, max_work=EVERY_CONTACT, max_contacts=EVERY_CONTACT
+    )
 
 
 def errors_of(
@@ -90,25 +88,32 @@ def errors_of(
 ) -> AnswerErrors:
     """Compare an answer with all contacts.
 
-    `every`: every_contact for the same states, of a `world` with the exact field and nearest normals, with `here`
+    `every`: every_contact for the same states, of a `world` of method glondu2014 with the exact field, with `here`
     present; `epsilon`: the penetration tolerance of the answer, a share of R.
     """
-    _, of_every, of_answer = np.intersect1d(every.contact_ids, answer.contact_ids, return_indices=True)
-    depths = np.maximum(-every.gaps, 0.0)
-    is_unlisted = np.ones(len(depths), dtype=bool)
-    is_unlisted[of_every] = False
-    promised = answer.missed_depth_bound.max(initial=0.0)
+    depths, listed = _deepest(every), np.zeros(len(every.fragment_a))
+    keys, named = _pair_keys(every), _pair_keys(answer)
+    row = np.searchsorted(named, keys).clip(max=max(len(named) - 1, 0))
     # a pair absent from the answer has no contact and nothing deeper than epsilon
-    unnamed = ~np.isin(_pair_keys(every), _pair_keys(answer))
+    unnamed = named[row] != keys if len(named) else np.ones(len(keys), bool)
+    listed[~unnamed] = _deepest(answer)[row[~unnamed]]
+    promised = answer.missed_depth_bound.max(initial=0.0)
     radius = world.geometry.pools.fragment.radius[here.rows]
     ends = (radius[np.searchsorted(here.ids, end[unnamed])] for end in (every.fragment_a, every.fragment_b))
     return AnswerErrors(
         listed=len(answer.gaps),
         colliding=len(every.gaps),
-        unlisted=float(depths[is_unlisted].max(initial=0.0)),
+        unlisted=float(depths[depths > listed].max(initial=0.0)),
         promised=float(max(promised, (epsilon * np.minimum(*ends)).max(initial=0.0))),
-        too_shallow=float((depths[of_every] - np.maximum(-answer.gaps[of_answer], 0.0)).max(initial=0.0)),
     )
+
+
+def _deepest(contacts: ContactConstraintArray) -> np.ndarray:
+    """Depth (p,) [m] of the deepest contact of each pair; 0: none is deep."""
+    deepest = np.zeros(len(contacts.fragment_a))
+    of_pair = np.repeat(np.arange(len(deepest)), np.diff(contacts.pair_begin).astype(np.int64))
+    np.maximum.at(deepest, of_pair, -contacts.gaps)
+    return deepest
 
 
 def _pair_keys(contacts: ContactConstraintArray) -> np.ndarray:
@@ -116,12 +121,17 @@ def _pair_keys(contacts: ContactConstraintArray) -> np.ndarray:
 
 
 def spheres_of_level(world: CollisionWorld, here: Present, level: int) -> LevelSpheres:
-    """Of the movable fragments in `here`; level 0: one sphere each. Planes and spheres have no tree."""
+    """Of the movable fragments in `here`; level 0: one sphere each. Planes and spheres have no tree.
+
+    The world's method must be glondu2014: the other has no trees.
+    """
+    paper = world.geometry.paper
+    assert paper is not None, "method exact has no trees"
     ids, centres, radii, deepest = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros(0)], 0
     for fragment_id, row in zip(here.ids[~here.is_static].tolist(), here.rows[~here.is_static].tolist(), strict=True):
-        if not world.geometry.tree_entries(row):
+        tree = paper.sphere_tree(row)
+        if not len(tree.size):
             continue
-        tree = world.geometry.sphere_tree(row)
         levels = _levels(tree.size)
         cover = (levels == level) | ((levels < level) & (tree.size == 1))
         ids.append(np.full(np.count_nonzero(cover), fragment_id))

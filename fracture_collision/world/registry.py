@@ -7,19 +7,13 @@ import hashlib
 import numpy as np
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
-from fracture_collision.core.memory.pools import ALTERNATING, AVERAGED, EXACT, FACING, NEAREST, QUEUE
+from fracture_collision.core.glondu2014.paper_geometry import PaperGeometry
 from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.gates.body_gate import CheckedBody
 from fracture_collision.world.gates.checks import UINT64_MAX
 from fracture_collision.world.gates.fracture_gate import CheckedFracture, apply_fracture
 from fracture_collision.world.living_fragments import Columns, LivingFragments
-from fracture_collision.world.settings import FIELDS, NORMALS, SAMPLED, TRAVERSALS, Settings
-
-# core's constant for each choice in the settings; core uses the names of trees as they are.
-_FIELD = dict(zip(FIELDS, (EXACT, AVERAGED), strict=True))
-_NORMALS = dict(zip(NORMALS, (FACING, NEAREST), strict=True))
-_TRAVERSAL = dict(zip(TRAVERSALS, (ALTERNATING, QUEUE), strict=True))
-
+from fracture_collision.world.settings import GLONDU2014, Settings
 
 
 class Registry:
@@ -27,9 +21,8 @@ class Registry:
 
     def __init__(self, settings: Settings) -> None:
         self.geometry = CollisionGeometry(
-            settings.tree, _TRAVERSAL[settings.traversal], _FIELD[settings.field], _NORMALS[settings.normals],
-            settings.surfaces != SAMPLED,
-        )  # fmt: skip
+            PaperGeometry(*settings.paper) if settings.method == GLONDU2014 else None
+        )
         self.sequence = 0
         self.renumbered = 0  # number of times the rows of all fragments were renumbered
         self.changes = 0  # number of changes of any kind

@@ -30,19 +30,19 @@ def cache_is_cold() -> bool:
 def compile_kernels(progress: Callable[[str], None]) -> None:
     """Run the small scene; `progress` is called with a description before each stage.
 
-    What `surfaces: searched` needs is compiled where it is used: by tests, not by a service.
+    What `method: glondu2014` needs is compiled where it is first used.
     """
-    progress("bodies: mesh preprocess, sphere trees (1 of 3)")
+    progress("bodies: mesh preprocess, samples (1 of 3)")
     world = _of_all_shapes()
-    progress("contacts: broad phase, Algorithm 1, exact field (2 of 3)")
+    progress("contacts: broad phase, search, exact field (2 of 3)")
     world.contacts(_states(1, 0, np.array([1, 2, 7])))
-    progress("fracture: crack polygons, tree splitting, masses (3 of 3)")
+    progress("fracture: crack polygons, samples, masses (3 of 3)")
     _break(world)
     for step in (2, 3, 4):  # full search, lists built, query through the lists
         world.contacts(_states(step, 2, np.array([2, 5, 7, 8, 9])))
     world.change_settings(world.settings._replace(lookahead=0.01))
     world.contacts(_states(5, 2, np.array([2, 5, 7, 8, 9])))
-    world.change_settings(world.settings._replace(lookahead=0.0, field="exact"))
+    world.change_settings(world.settings._replace(lookahead=0.0))
     world.contacts(_states(6, 2, np.array([2, 5, 7, 8, 9, 10])))  # the last is concave, and deep in others
     world.fragments()
     world.fragment_mesh(5)
@@ -60,7 +60,7 @@ def compile_contacts(progress: Callable[[str], None]) -> None:
 def compile_fractures(progress: Callable[[str], None]) -> None:
     """The other part: fractures, and what a fracture is told."""
     progress("fractures")
-    world = service.CollisionWorld(Settings(threads=2, field="averaged"))
+    world = service.CollisionWorld(Settings(threads=2))
     world.add_body(_tetrahedral_body(1, BAR))
     _break(world)
     world.fragments()
@@ -69,7 +69,7 @@ def compile_fractures(progress: Callable[[str], None]) -> None:
 
 def _of_all_shapes() -> service.CollisionWorld:
     # a fracture with the averaged field uses all kernels of the exact field, and more
-    world = service.CollisionWorld(Settings(threads=2, field="averaged"))
+    world = service.CollisionWorld(Settings(threads=2))
     world.add_body(_tetrahedral_body(1, BAR))
     world.add_body(_tetrahedral_body(10, l_block((1.0, 1.0, 0.5), (0.5, 0.5), 0.5)))
     world.add_body(CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.3,))))

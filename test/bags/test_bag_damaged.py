@@ -242,7 +242,9 @@ def test_chunks_without_definitions_are_searched_once(tmp_path: Path, monkeypatc
         ('{"contacts_per_pair": true}', "is not of type int"),
         ('{"contacts_per_pair": 0}', "contacts_per_pair: 0 is less than 1"),
         ('{"penetration_tolerance": NaN}', "penetration_tolerance"),
-        ('{"field": "none"}', "field"),
+        ('{"method": "none"}', "method"),
+        ('{"method": "glondu2014", "paper": {"tree": "oak"}}', "tree: 'oak' is not one of"),
+        ('{"method": "glondu2014", "paper": [1]}', "paper"),
     ],
 )  # fmt: skip
 def test_invalid_settings_are_rejected(bag: Path, settings: str, words: str) -> None:

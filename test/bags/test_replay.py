@@ -24,8 +24,8 @@ from fracture_collision.ros.runs.scene_recording import TOPICS
 from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.cdr_padding import zero_padding
 from fracture_collision.ros.wire.conversion import heading, to_message
-from fracture_collision.world import CollisionWorld, Settings
-from fracture_collision.world.settings import settings_text
+from fracture_collision.world import CollisionWorld, PaperSettings, Settings
+from fracture_collision.world.settings import settings_text, values_of
 
 STATES, CONTACTS, BODIES, EVENTS = "/fragment_states", "/contact_constraints", "/bodies", "/fracture_events"
 
@@ -290,7 +290,7 @@ def test_rejected_states_are_rejected_again(bag: Path, tmp_path: Path) -> None:
 
 
 def test_settings_are_read_from_the_bag(tmp_path: Path) -> None:
-    settings = Settings(contacts_per_pair=3, visit_budget=3000, field="averaged", neighbour_lists=False)
+    settings = Settings("glondu2014", 3, max_work=3000, paper=PaperSettings(tree="plain"))
     bag = record_pane(tmp_path / "bag", settings)
     runs = read_runs(bag)
     assert not replayed(runs).exact
@@ -321,7 +321,7 @@ def with_registries(folder: Path, bag: Path, *texts: str) -> Path:
 
 
 def test_settings_are_read_from_registries(tmp_path: Path) -> None:
-    settings = Settings(contacts_per_pair=3, field="averaged", max_pairs=9)
+    settings = Settings("glondu2014", contacts_per_pair=3, max_pairs=9)
     recorded = record_pane(tmp_path / "recorded", settings._replace(max_pairs=Settings().max_pairs))
     bag = with_registries(tmp_path / "bag", recorded, "", *[settings_text(settings)] * 2)
     found, words = settings_of(bag, {"threads": 1})
@@ -337,19 +337,19 @@ def test_settings_other_than_those_of_the_recorded_answers_are_named(tmp_path: P
     assert settings_of(bag, {"contacts_per_pair": 5, "lookahead": 0.01}).words == [
         f"{other}contacts_per_pair: 5, recorded 3; lookahead: 0.01, recorded 0.0"
     ]
-    first, last = Settings(contacts_per_pair=4), Settings(surfaces="sampled")
+    first, last = Settings(contacts_per_pair=4), Settings(max_work=7)
     told = with_registries(tmp_path / "told", bag, settings_text(first), settings_text(last))
-    found = settings_of(told, {"surfaces": "edges"})
+    found = settings_of(told, {"max_work": 9})
     assert found.settings.contacts_per_pair == 8 and found.words[1:] == [
         "the settings changed during the recording; the replay uses the last ones",
-        f"{other}surfaces: edges, recorded sampled",
+        f"{other}max_work: 9, recorded 7",
     ]
     with BagWriter(tmp_path / "both", []) as writer:
-        writer.note(SETTINGS, json.dumps(Settings(contacts_per_pair=6)._asdict()))
+        writer.note(SETTINGS, json.dumps(values_of(Settings(contacts_per_pair=6))))
     (tmp_path / "both" / "metadata.yaml").unlink()
     shutil.copy(next((tmp_path / "told").glob("*.mcap")), tmp_path / "both" / "both_1.mcap")
     assert settings_of(tmp_path / "both", {}).words[-1] == (
-        f"{other}contacts_per_pair: 6, recorded 8; surfaces: edges, recorded sampled"
+        f"{other}contacts_per_pair: 6, recorded 8; max_work: 2000000, recorded 7"
     )
 
 

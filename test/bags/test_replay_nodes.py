@@ -41,7 +41,7 @@ from fracture_collision.ros.runs.scene_recording import TOPICS, record_scene
 from fracture_collision.ros.wire import qos
 from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.world import Settings
-from fracture_collision.world.settings import settings_text
+from fracture_collision.world.settings import settings_text, values_of
 
 PATIENCE = 60.0  # [s] on a loaded machine
 
@@ -181,15 +181,15 @@ def test_settings_are_requested_and_requested_again_when_they_change() -> None:
 
     try:
         asked.look()  # no service yet
-        for name, value in Settings()._asdict().items():
+        for name, value in values_of(Settings()).items():
             service.declare_parameter(name, value)
         topic = qos.CONTACT_CONSTRAINTS
         service.create_publisher(topic.message_class, topic.name, topic.qos)
         spin_until(1)
-        assert told == [Settings()._asdict()]
+        assert told == [values_of(Settings())]
         service.set_parameters([Parameter("contacts_per_pair", value=5)])
         spin_until(2)
-        assert told[1] == Settings(contacts_per_pair=5)._asdict()
+        assert told[1] == values_of(Settings(contacts_per_pair=5))
     finally:
         executor.shutdown()
         for node in (service, recorder):
@@ -209,7 +209,7 @@ def test_settings_are_requested_again_if_the_answer_is_lost(monkeypatch: pytest.
     lost: list[GetParameters.Response] = []
 
     def answer(request: GetParameters.Request, response: GetParameters.Response) -> GetParameters.Response:
-        values = Settings()._asdict()
+        values = values_of(Settings())
         response.values = [Parameter(name, value=values[name]).get_parameter_value() for name in request.names]
         return response
 
@@ -230,7 +230,7 @@ def test_settings_are_requested_again_if_the_answer_is_lost(monkeypatch: pytest.
         while not told and time.monotonic() < deadline:
             asked.look()
             executor.spin_once(timeout_sec=0.05)
-        assert told == [Settings()._asdict()] and len(lost) == 2
+        assert told == [values_of(Settings())] and len(lost) == 2
     finally:
         executor.shutdown()
         for node in (service, recorder):

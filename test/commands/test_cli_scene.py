@@ -105,13 +105,14 @@ def test_digests_depend_on_the_seed_only(pane: tuple[Path, str]) -> None:
 def test_options_are_obeyed_and_results_of_an_earlier_run_removed(tmp_path: Path) -> None:
     for file in RESULTS:
         (tmp_path / file).write_text("of the run before")
-    options = ("--settings", "contacts_per_pair=3,tree=plain", "--settings", "penetration_tolerance=0.01")
+    options = ("--settings", "contacts_per_pair=3,max_work=1000000", "--settings", "penetration_tolerance=0.01")
     done = call("pane", "--out", tmp_path, "--steps", 7, "--no-pictures", "--seed", 9, "--threads", 2, *options)
     assert done.exit_code == 0, done.output
     assert sorted(file.name for file in tmp_path.iterdir()) == ["report.json", "steps.csv"]
     report = json.loads((tmp_path / "report.json").read_text())
     settings = report["settings"]
-    assert (report["seed"], settings["threads"], settings["contacts_per_pair"], settings["tree"]) == (9, 2, 3, "plain")
+    assert (report["seed"], settings["threads"], settings["contacts_per_pair"]) == (9, 2, 3)
+    assert settings["max_work"] == 1_000_000
     assert settings["penetration_tolerance"] == 0.01 and len(report["step"]) == 7
     assert "colliding_points" not in report
 
@@ -133,7 +134,7 @@ def test_curvature_changes_the_run(tmp_path: Path) -> None:
         (["pane", "--settings", "contacts=3"], "--settings: no setting 'contacts'; did you mean max_contacts?"),
         (["pane", "--settings", "contacts_per_pair=many"], "--settings contacts_per_pair: 'many' is not of type int"),
         (["pane", "--settings", "contacts_per_pair=0"], "contacts_per_pair: 0 is less than 1"),
-        (["pane", "--settings", "tree=oak"], "tree: 'oak' is not one of"),
+        (["pane", "--settings", "method=oak"], "method: 'oak' is not one of"),
         (["pane", "--curvature", "-1"], "--curvature"),
         (["pane", "--curvature", "nan"], "curvature: nan is not a number of at least 0"),
         (["pane", "--steps", "0"], "--steps"),
@@ -156,8 +157,8 @@ def test_an_out_that_is_a_file_is_rejected(tmp_path: Path) -> None:
 
 def test_settings_are_separated_by_commas_or_repeated() -> None:
     assert parse_settings(()) == {}
-    given = parse_settings(("threads=3, field=averaged", "visit_budget=9"))
-    assert given == {"threads": 3, "field": "averaged", "visit_budget": 9}
+    given = parse_settings(("threads=3, method=glondu2014", "max_work=9"))
+    assert given == {"threads": 3, "method": "glondu2014", "max_work": 9}
 
 
 def test_help_has_descriptions_and_examples() -> None:

@@ -15,17 +15,16 @@ from truth.contact_truth import (
     pairs_of,
     sample_ids,
 )
-from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings
+from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world, tree_of, with_settings
 from worlds.rigid_shapes import noisy_ball
 
-from fracture_collision.core.bodies.fragment_trees import TREES
 from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, ContactConstraintArray, FragmentStates
-from fracture_collision.world import CollisionWorld
-from fracture_collision.world.settings import TRAVERSALS
+from fracture_collision.world import CollisionWorld, PaperSettings
+from fracture_collision.world.settings import CHOICES
 
 SHAPES = ("ball", "brick", "shell", "bowl")
-SEARCHES = [(tree, traversal) for tree in TREES for traversal in TRAVERSALS]
-DEFAULT_SEARCH = (SETTINGS.tree, SETTINGS.traversal)
+SEARCHES = [(tree, traversal) for tree in CHOICES["tree"] for traversal in CHOICES["traversal"]]
+DEFAULT_SEARCH = SETTINGS.paper[1:]
 QUICK = [("ball", "flat"), ("shell", "curved")]  # with every tree and traversal; the others with the default only
 CASES = [
     pytest.param((s, c, search), id="-".join((s, c) if search == DEFAULT_SEARCH else (s, c, *search)),
@@ -38,26 +37,24 @@ CASES = [
 @pytest.fixture(scope="module", params=CASES)
 def case(request) -> FracturedWorld:
     shape, cracks, (tree, traversal) = request.param
-    settings = SETTINGS._replace(tree=tree, traversal=traversal)
+    settings = SETTINGS._replace(paper=PaperSettings("exact", tree, traversal))
     return fractured_world(COARSE_SHAPES[shape](), seeds=5, generations=2, curved=cracks == "curved", settings=settings)
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.02, 0.15])
 def test_contacts_are_true_and_the_bound_holds(case: FracturedWorld, jitter: float) -> None:
-    """With nearest normals, so that each depth is to the nearest surface; test_crack_normal covers the others."""
-    plain = with_settings(case, case.world.settings._replace(normals="nearest"))
     states = case.states(jitter, seed=1)
-    checks = check_all_pairs(ContactTruth(case), states, plain)
+    checks = check_all_pairs(ContactTruth(case), states)
     assert_true(checks, case.world.settings.penetration_tolerance)
     for check in checks:
         assert np.abs(check.excess).max(initial=0.0) <= BORDER, check
 
 
-def test_the_bound_holds_for_any_visit_budget(case: FracturedWorld) -> None:
+def test_the_bound_holds_for_any_limit_of_work(case: FracturedWorld) -> None:
     states = case.states(0.05, seed=2)
     truth, poses = ContactTruth(case), Poses(states)
-    for budget in (200, 1000, 4000):
-        limited = with_settings(case, case.world.settings._replace(visit_budget=budget))
+    for most in (20, 100, 400):
+        limited = with_settings(case, case.world.settings._replace(max_work=most))
         answer = limited.contacts(states)
         listed = pairs_of(answer)
         if not answer.status & BUDGET_EXHAUSTED:
@@ -67,7 +64,7 @@ def test_the_bound_holds_for_any_visit_budget(case: FracturedWorld) -> None:
             check = check_pair(truth, poses, answer, pair, listed, epsilon)
             assert check.deepest_unlisted <= check.bound, (pair, check)
         return
-    pytest.fail("no budget was small enough to cut a search short")
+    pytest.fail("no limit was small enough to cut a search short")
 
 
 def _bytes(answer: ContactConstraintArray) -> bytes:
@@ -87,9 +84,8 @@ def test_a_full_list_does_not_depend_on_tree_or_traversal() -> None:
     states = case.states(0.03, seed=6)
     listed = []
     for tree, traversal in SEARCHES:
-        settings = SETTINGS._replace(
-            tree=tree, traversal=traversal, contacts_per_pair=100_000, detection_tolerance=0.05
-        )
+        variant = PaperSettings("exact", tree, traversal)
+        settings = SETTINGS._replace(paper=variant, contacts_per_pair=100_000, detection_tolerance=0.05)
         answer = with_settings(case, settings).contacts(states)
         by_id = np.argsort(answer.contact_ids)
         listed.append((answer.contact_ids[by_id].tolist(), answer.gaps[by_id].tolist(), answer.fragment_a.tolist()))
@@ -97,19 +93,17 @@ def test_a_full_list_does_not_depend_on_tree_or_traversal() -> None:
     assert all(other == listed[0] for other in listed[1:])
 
 
-@pytest.mark.parametrize("traversal", TRAVERSALS)
+@pytest.mark.parametrize("traversal", CHOICES["traversal"])
 def test_nodes_are_visited_in_the_order_of_the_traversal(traversal: str) -> None:
-    """Every sample of a ball lies within the tolerance of a plane: contacts come in the order of the visits.
-
-    Fewer than are wanted would be sorted.
-    """
+    """Every sample of a ball lies within the tolerance of a plane: contacts come in the order of the visits."""
     vertices, triangles = noisy_ball()
     wanted = len(vertices)
-    world = CollisionWorld(SETTINGS._replace(traversal=traversal, contacts_per_pair=wanted, detection_tolerance=1.0))
+    variant = PaperSettings("exact", traversal=traversal)
+    world = CollisionWorld(SETTINGS._replace(paper=variant, contacts_per_pair=wanted, detection_tolerance=1.0))
     world.add_body(CollisionBody(1, 1, vertices=vertices.ravel(), triangles=triangles.ravel()))
     world.add_body(CollisionBody(2, 2, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
     answer = world.contacts(FragmentStates(1, 0, np.array([1]), np.array([0, 0, -0.5]), np.array([0.0, 0.0, 0.0, 1.0])))
-    tree = world._registry.geometry.sphere_tree(world._registry.row_of(1))
+    tree = tree_of(world.geometry, world._registry.row_of(1))
     level, samples = [0], [tree.sample[0]]
     while level:
         children = [_children(tree.size, entry) for entry in level]

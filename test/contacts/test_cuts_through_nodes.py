@@ -11,10 +11,14 @@ from itertools import islice, permutations, product
 
 import numpy as np
 import pytest
+from worlds.fractured_worlds import samples_of
 from worlds.hard_worlds import UPRIGHT, sized, tetrahedral_body
+from worlds.sampled_worlds import SampledWorld
 
 from fracture_collision.core.bodies.body_validator import validate_body
+from fracture_collision.core.field.crack_normal import FARTHER
 from fracture_collision.core.field.elementary_queries import INSIDE, probe
+from fracture_collision.core.patches.pair_contacts import MOVED
 from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.fracture import planes
 from fracture_collision.geometry.generators import TetGeometry, ball, brick
@@ -59,10 +63,12 @@ def random_cuts(seed: int) -> Iterator[Cut]:
                 yield mesh, normals, offsets
 
 
-def world_of(cut: Cut, **settings) -> tuple[CollisionWorld, np.ndarray] | None:
+def world_of(
+    cut: Cut, kind: type[CollisionWorld] = CollisionWorld, **settings: int
+) -> tuple[CollisionWorld, np.ndarray] | None:
     """The world after the fracture, and the ids of its fragments; None: no plane separates nodes."""
     mesh, normals, offsets = cut
-    world, body = CollisionWorld(Settings(threads=1, **settings)), tetrahedral_body(mesh)
+    world, body = kind(Settings(threads=1, **settings)), tetrahedral_body(mesh)
     try:
         event = planes(body, normals, offsets)
     except ValueError:
@@ -78,11 +84,11 @@ def states(ids: np.ndarray, places: np.ndarray | float = 0.0) -> FragmentStates:
     return FragmentStates(1, 1, ids, (np.zeros((len(ids), 3)) + places).ravel(), np.tile(UPRIGHT, len(ids)))
 
 
-def check(cuts: Iterator[Cut], **settings) -> int:
+def check(cuts: Iterator[Cut], kind: type[CollisionWorld] = CollisionWorld) -> int:
     """In place, no contact is deeper than DEEP; all stored data agree. Returns the number of worlds."""
     worlds = 0
     for cut in cuts:
-        made = world_of(cut, **settings)
+        made = world_of(cut, kind)
         if made is None:
             continue
         world, ids = made
@@ -101,8 +107,7 @@ def deepest_sample(world: CollisionWorld, ids: np.ndarray) -> float:
     rows = [world._registry.row_of(int(i)) for i in ids]
     scratch, deepest = make_scratch(len(geometry.pools.mesh.tetrahedra), 1), 0.0
     for own, other in permutations(rows, 2):
-        tree = geometry.sphere_tree(own)
-        for x, y, z in tree.center[(tree.size == 1) & (tree.on_surface == 1)].tolist():
+        for x, y, z in samples_of(geometry, own)[0].tolist():
             answer = probe(geometry.pools, other, (x, y, z), 0.0, math.inf, scratch)
             if answer[0] == INSIDE:
                 deepest = max(deepest, -answer[1])
@@ -127,26 +132,25 @@ def test_samples_of_cuts_along_the_mesh_are_outside_all_other_fragments() -> Non
     assert checked > 40
 
 
-@pytest.mark.parametrize("selection", ["sufficient", "complete"])
-def test_fragments_of_cuts_through_nodes_do_not_penetrate_in_place(selection: str) -> None:
-    assert check(islice(lattice_cuts(), 0, None, 13), selection=selection) > 100
-    assert check(islice(random_cuts(1), 100), selection=selection) > 60
+@pytest.mark.parametrize("kind", [CollisionWorld, SampledWorld])
+def test_fragments_of_cuts_through_nodes_do_not_penetrate_in_place(kind: type[CollisionWorld]) -> None:
+    assert check(islice(lattice_cuts(), 0, None, 13), kind) > 100
+    assert check(islice(random_cuts(1), 100), kind) > 60
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("selection", ["sufficient", "complete"])
-def test_fragments_of_thousands_of_cuts_do_not_penetrate_in_place(selection: str) -> None:
-    assert check(lattice_cuts(), selection=selection) > 1900
-    assert check(islice(random_cuts(2), 4000), selection=selection) > 3000
+@pytest.mark.parametrize("kind", [CollisionWorld, SampledWorld])
+def test_fragments_of_thousands_of_cuts_do_not_penetrate_in_place(kind: type[CollisionWorld]) -> None:
+    assert check(lattice_cuts(), kind) > 1900
+    assert check(islice(random_cuts(2), 4000), kind) > 3000
 
 
-@pytest.mark.parametrize("field", ["exact", "averaged"])
-@pytest.mark.parametrize("selection", ["sufficient", "complete"])
+@pytest.mark.parametrize("kind", [CollisionWorld, SampledWorld])
 @pytest.mark.parametrize("step", [0.0, 1e-6, 1e-4, 1e-2])
-def test_no_contact_is_deeper_than_the_two_have_moved(step: float, selection: str, field: str) -> None:
+def test_no_contact_is_deeper_than_the_two_have_moved(step: float, kind: type[CollisionWorld]) -> None:
     """Also a sample on a part without volume: the other's field alone would make it 0.11 m deep in place."""
-    made = world_of(NEEDLE, selection=selection, field=field, normals="nearest", contacts_per_pair=10_000)
+    made = world_of(NEEDLE, kind, contacts_per_pair=10_000)
     assert made is not None
     world, ids = made
     assert deepest_sample(world, ids) > 0.1
@@ -156,4 +160,5 @@ def test_no_contact_is_deeper_than_the_two_have_moved(step: float, selection: st
         of_pair = np.repeat(np.arange(len(answer.fragment_a)), np.diff(answer.pair_begin))
         where = [np.searchsorted(ids, side)[of_pair] for side in (answer.fragment_a, answer.fragment_b)]
         moved = np.linalg.norm(places[where[0]] - places[where[1]], axis=1)
-        assert (-answer.gaps <= moved + 1e-11).all()
+        # along a normal that is turned to the crack, or that of a patch, somewhat more
+        assert (-answer.gaps <= MOVED * moved + FARTHER).all()

@@ -1,4 +1,4 @@
-"""surfaces: edges. Crossing edges of two fragments between samples make a contact, with the normal across both."""
+"""Crossing edges of two fragments between samples make a contact, with the normal across both."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import pytest
 from test_neighbour_lists import assert_same, random_turns, turned
 from truth.contact_truth import COARSE_SHAPES, Poses, pairs_of, sample_ids, surface_samples
 from truth.surface_campaign import PairDepth, campaign
-from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_messages, with_settings
 from worlds.hard_worlds import tetrahedral_body
 from worlds.rods import EDGE, OVERLAP, answer_of_rods, crossed
+from worlds.sampled_worlds import ForgetfulWorld, SampledWorld
 
 from fracture_collision.core.edges.ridge_contacts import DEEPEST, RIDGES_EACH
 from fracture_collision.core.edges.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
@@ -23,7 +24,7 @@ from fracture_collision.geometry.generators import brick
 from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings
 
-EDGES = Settings(threads=1, surfaces="edges")
+EDGES = Settings(threads=1)
 SHALLOW = 0.05  # [R]
 KINDS = ["box", "tetrahedra", "triangles"]
 
@@ -159,7 +160,7 @@ def test_rods_that_will_touch_within_a_step_have_a_contact(kind: str) -> None:
     assert answer.gaps.min() == pytest.approx(0.2, abs=1e-9) and (np.sort(answer.gaps)[1:] > 0.25).all()
     np.testing.assert_allclose(answer.normals.reshape(-1, 3), [[0.0, 0.0, 1.0]] * len(answer.gaps), atol=1e-9)
     # samples find nothing until one is inside, and then from the side
-    sampled = answer_of_rods(kind, Settings(threads=1, surfaces="sampled", lookahead=0.01), states)
+    sampled = answer_of_rods(kind, EDGES._replace(lookahead=0.01), states, SampledWorld)
     assert not (np.abs(sampled.normals.reshape(-1, 3)[:, 2]) > 0.9).any()
 
 
@@ -197,10 +198,10 @@ def test_edges_find_most_penetrations_that_samples_miss() -> None:
     sampled, edges = (
         counts(
             it
-            for it in campaign(120, 3, shapes, generations=1, settings=Settings(threads=1, surfaces=surfaces))
+            for it in campaign(120, 3, shapes, kind)
             if it.truth < SHALLOW
         )
-        for surfaces in ("sampled", "edges")
+        for kind in (SampledWorld, CollisionWorld)
     )
     assert sampled[1] > 10
     assert edges[0] <= sampled[0] and 2 * edges[1] < sampled[1]
@@ -210,8 +211,8 @@ def test_edges_find_most_penetrations_that_samples_miss() -> None:
 def test_answers_do_not_depend_on_lists_or_threads(case: FracturedWorld, lookahead: float) -> None:
     settings = EDGES._replace(lookahead=lookahead)
     worlds = [
-        with_settings(case, it)
-        for it in (settings, settings._replace(threads=2), settings._replace(neighbour_lists=False))
+        with_messages(world, case)
+        for world in (CollisionWorld(settings), CollisionWorld(settings._replace(threads=2)), ForgetfulWorld(settings))
     ]
     for world in worlds:
         world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), 0.25), 2000))
@@ -255,13 +256,3 @@ def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
     assert geometry.keep_only(np.array([1, 2])).tolist() == [0, 1]
     for row in (0, 1):
         np.testing.assert_array_equal(of(row), before[row])
-
-
-@pytest.mark.parametrize("other", [{"selection": "complete"}, {"visit_budget": 1_000_000}])
-def test_edges_are_not_used_with_the_papers_selection(case: FracturedWorld, other: dict) -> None:
-    states = case.states(0.01, 4)
-    worlds = [with_settings(case, EDGES._replace(surfaces=surfaces, **other)) for surfaces in ("edges", "sampled")]
-    assert_same(*(world.contacts(states) for world in worlds))
-    # the ridges are part of the registry: changing the rule requests them again
-    worlds[0].change_settings(EDGES)
-    assert_same(worlds[0].contacts(states), with_settings(case, EDGES).contacts(states))

@@ -10,12 +10,15 @@ import trimesh
 from oracles.convex_cells import distances_to_triangles
 from scipy.spatial.transform import Rotation
 from truth.contact_truth import Poses, sample_ids
+from worlds.fractured_worlds import SETTINGS as NEAREST
+from worlds.fractured_worlds import samples_of
 from worlds.hard_worlds import block
+from worlds.sampled_worlds import EVERY, SampledWorld, in_order
 
 from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
-SETTINGS = Settings(threads=1, contacts_per_pair=10_000, normals="facing", surfaces="sampled")
+SETTINGS = Settings(threads=1, contacts_per_pair=EVERY)
 # facing_normal.py: limits for parallel normals, for how much farther a facing surface may be, for rounding (R).
 SAME_WAY, FARTHER, SLACK = 0.25, 0.03, 1e-12
 SIZE = np.array([2.0, 1.6, 1.0])
@@ -58,7 +61,7 @@ def _mesh(vertices: np.ndarray, triangles: np.ndarray) -> trimesh.Trimesh:
 @pytest.mark.parametrize(("lower", "upper"), [*product(KINDS, repeat=2)])
 def test_contacts_equal_those_of_the_slow_twin(lower: str, upper: str) -> None:
     solids = {1: Solid(lower, 1), 2: Solid(upper, 2)}
-    worlds = [CollisionWorld(SETTINGS._replace(normals=normals)) for normals in ("nearest", "facing")]
+    worlds = CollisionWorld(NEAREST._replace(contacts_per_pair=EVERY)), SampledWorld(SETTINGS)
     for world, solid in product(worlds, solids.values()):
         world.add_body(solid.body)
     near = SETTINGS.detection_tolerance
@@ -69,7 +72,7 @@ def test_contacts_equal_those_of_the_slow_twin(lower: str, upper: str) -> None:
         shift = np.array([*random.uniform(-0.002, 0.002, 2), 1.0 - deep])
         quaternions = np.concatenate([[0.0, 0.0, 0.0, 1.0], turn.as_quat()])
         states = FragmentStates(1, 0, np.array([1, 2]), np.append(np.zeros(3), shift), quaternions)
-        plain, answer = (world.contacts(states) for world in worlds)
+        plain, answer = (in_order(world.contacts(states)) for world in worlds)
         assert np.array_equal(plain.contact_ids, answer.contact_ids)
         poses = Poses(states)
         for own, other in ((1, 2), (2, 1)):
@@ -95,9 +98,7 @@ def test_contacts_equal_those_of_the_slow_twin(lower: str, upper: str) -> None:
 
 
 def _samples(world: CollisionWorld, fragment: int) -> tuple[np.ndarray, np.ndarray]:
-    tree = world._registry.geometry.sphere_tree(world._registry.row_of(fragment))
-    leaves = (tree.size == 1) & (tree.on_surface == 1)
-    return tree.center[leaves], tree.sample[leaves]
+    return samples_of(world.geometry, world._registry.row_of(fragment))
 
 
 def _right(other: Solid, x, own_normal, before, d: float, near: float) -> list | None:

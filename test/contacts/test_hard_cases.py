@@ -17,10 +17,9 @@ from oracles.fracture_patterns import voronoi_event
 from scipy.spatial.transform import Rotation
 from test_contacts_truth import FRAMES
 from truth.contact_truth import COARSE_SHAPES, ContactTruth, Poses, assert_true, check_pair, pairs_of
-from worlds.fractured_worlds import DENSITY, FracturedWorld, fractured_world, with_settings
+from worlds.fractured_worlds import DENSITY, FracturedWorld, fractured_world, samples_of, with_settings
 from worlds.hard_worlds import (
     BRICK,
-    DEFAULTS,
     EVERY_CONTACT,
     ROUNDING,
     SETTINGS,
@@ -38,11 +37,12 @@ from worlds.hard_worlds import (
     samples_within,
     sized,
 )
+from worlds.sampled_worlds import EVERY, SampledWorld
 
 from fracture_collision.geometry.generators import TetGeometry, ball, brick, plate
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.records import FragmentStates
-from fracture_collision.world import CollisionWorld, InvalidMessage
+from fracture_collision.world import CollisionWorld, InvalidMessage, Settings
 
 # --- parallel faces at exactly zero gap -------------------------------------------------------------------------------
 
@@ -58,8 +58,7 @@ def test_parallel_faces_of_two_blocks_at_zero_gap(lower: str, upper: str) -> Non
     reach = SETTINGS.detection_tolerance * 0.5  # of the smaller R
     expected = 0
     for own, half in ((1, np.array([0.5, 0.375, 0.25])), (2, np.array([1.0, 1.0, 0.5]))):
-        tree = world._registry.geometry.sphere_tree(world._registry.row_of(own))
-        points = tree.center[(tree.size == 1) & (tree.on_surface == 1)] + (shift if own == 2 else -shift)
+        points = samples_of(world.geometry, world._registry.row_of(own))[0] + (shift if own == 2 else -shift)
         expected += int(np.count_nonzero(np.all(np.abs(points) <= half + reach, axis=1)))
     assert len(answer.gaps) == expected >= 4
     assert np.abs(answer.gaps).max() <= ROUNDING
@@ -76,8 +75,7 @@ def test_equal_blocks_flush_at_zero_gap(kind: str) -> None:
         world.add_body(block(kind, number, (2.0, 2.0, 1.0)))
     states = FragmentStates(1, 0, np.array([1, 2]), np.array([0.0, 0, 0, 0, 0, 1.0]), np.tile(UPRIGHT, 2))
     answer = world.contacts(states)
-    tree = world._registry.geometry.sphere_tree(world._registry.row_of(1))
-    samples = tree.center[(tree.size == 1) & (tree.on_surface == 1)]
+    samples, _ = samples_of(world.geometry, world._registry.row_of(1))
     assert len(answer.gaps) == 2 * np.count_nonzero(samples[:, 2] == 0.5)
     assert np.abs(answer.gaps).max() <= ROUNDING
     normals = answer.normals.reshape(-1, 3)
@@ -91,10 +89,10 @@ def test_equal_blocks_flush_at_zero_gap(kind: str) -> None:
 def test_contacts_of_flush_equal_blocks_are_upright(lower: str, upper: str, deep: float) -> None:
     """Two blocks stacked flush, just apart or slightly penetrating, separate along their common face: all normals up.
 
-    The nearest surface of a rim's sample is the other's side, at distance 0: with normals `nearest` 25 % point sideways
-    for tetrahedra, 40 % for triangles, all for boxes, and the upper block sinks in.
+    The nearest surface of a rim's sample is the other's side, at distance 0: along the shortest way out, 25 % point
+    sideways for tetrahedra, 40 % for triangles, all for boxes, and the upper block sinks in.
     """
-    world = CollisionWorld(EVERY_CONTACT._replace(normals="facing"))
+    world = SampledWorld(Settings(threads=1, contacts_per_pair=EVERY))
     for number, kind in ((1, lower), (2, upper)):
         world.add_body(block(kind, number, (2.0, 2.0, 1.0)))
     states = FragmentStates(1, 0, np.array([1, 2]), np.array([0.0, 0, 0, 0, 0, 1.0 - deep]), np.tile(UPRIGHT, 2))
@@ -198,7 +196,7 @@ def test_witnesses_along_cracks_whose_planes_do_not_agree() -> None:
     """With the service's own setting, normals along the crack, witnesses lie on the surface to 1e-6 R."""
     body = brick((2.0, 1.0, 1.0), 0.5)
     labels = np.random.default_rng(6).integers(0, 3, len(body.vertices))
-    case = broken_world(body, [by_labels(labels, lattice_planes(body.vertices, 3))], DEFAULTS)
+    case = broken_world(body, [by_labels(labels, lattice_planes(body.vertices, 3))], SETTINGS)
     assert assert_contacts(case, ("jittered", "deep")) > 0
 
 

@@ -9,16 +9,18 @@ from oracles.fracture_patterns import voronoi_event
 from oracles.fragmented_body import ALL_KINDS, FragmentedBody
 from scipy.interpolate import RegularGridInterpolator
 from truth.contact_truth import Poses, pairs_of, sample_ids, surface_samples
-from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
 
-from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe, probe
-from fracture_collision.core.memory.pools import EXACT, OWNER
+from fracture_collision.core.field.elementary_queries import INSIDE
+from fracture_collision.core.glondu2014.paper_pools import PaperPools
+from fracture_collision.core.glondu2014.paper_probe import paper_probe
+from fracture_collision.core.memory.pools import OWNER, Pools
 from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell
 from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
-AVERAGED = SETTINGS._replace(field="averaged")
+AVERAGED = Settings(threads=1, method="glondu2014")
 SHAPES = {
     "ball": lambda: ball(1.0, 0.35),
     "brick": lambda: brick((2.0, 1.0, 0.8), 0.4),
@@ -61,7 +63,15 @@ class Twins:
 
     @property
     def node_field(self) -> np.ndarray:
-        return self.pools.body.node_field
+        return self.paper.field.node_field
+
+    @property
+    def paper(self):
+        return self.world.geometry.paper.pools
+
+
+def pools_of(case: FracturedWorld) -> tuple[Pools, PaperPools]:
+    return case.geometry.pools, case.geometry.paper.pools
 
 
 def _case(shape: str, cracks: str, generations: int = GENERATIONS, seeds: int = 5) -> FracturedWorld:
@@ -118,7 +128,7 @@ def test_every_generation_equals_the_slow_twin_and_only_lowers_depths_of_what_br
 def test_the_field_of_a_whole_body_is_exact(case: FracturedWorld) -> None:
     """Before the first fracture: distances at the nodes and on the grid against brute force, outside negative."""
     whole = FragmentedBody(case.oracle.vertices, case.oracle.tetrahedra)
-    interior = case.world._ledger.bodies[1].mesh.interior[0]
+    interior = case.world._ledger.bodies[1].mesh.paper[0].interior[0]
     depth, nearest = whole.depth(1, whole.vertices)
     is_interior = interior.node_field[:, 0] > 0.0
     assert np.abs(interior.node_field[is_interior, 0] - depth[is_interior]).max(initial=0.0) <= ROUNDING
@@ -136,7 +146,7 @@ def test_depth_is_eq_1_local_surfaces_and_the_grids_cap(case: FracturedWorld) ->
     twins = Twins(case)
     for _ in twins.events:
         twins.break_next()
-    interior = case.world._ledger.bodies[1].mesh.interior[0]
+    interior = case.world._ledger.bodies[1].mesh.paper[0].interior[0]
     axes = [interior.origin[d] + interior.cell * np.arange(interior.dims[d]) for d in range(3)]
     cap = RegularGridInterpolator(axes, interior.depth.reshape(interior.dims))
     points = _points_within(case, 200)
@@ -144,7 +154,7 @@ def test_depth_is_eq_1_local_surfaces_and_the_grids_cap(case: FracturedWorld) ->
     scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     capped, cut = 0, 0
     for x, fragment, t in zip(points, owners.tolist(), tets.tolist(), strict=True):
-        status, distance, *rest = probe(case.geometry.pools, case.row(fragment), tuple(x), 0.0, np.inf, scratch)
+        status, distance, *rest = paper_probe(*pools_of(case), case.row(fragment), tuple(x), 0.0, np.inf, scratch)[:8]
         depth, direction = twins.slow.penetration(fragment, t, x)
         limit = max(float(cap(x)[0]), 0.0)
         assert status == INSIDE and distance <= 0.0
@@ -182,11 +192,11 @@ def _assert_certain(case: FracturedWorld) -> int:
         if not len(own):
             continue
         true, _ = case.oracle.depth(fragment, own, ALL_KINDS)
-        pools, row = case.geometry.pools, case.row(fragment)
-        most = [bounded_probe(pools, row, tuple(x), 0.0, np.inf, -1, False, scratch).most_depth for x in own]
+        pools, row = pools_of(case), case.row(fragment)
+        most = [paper_probe(*pools, row, tuple(x), 0.0, np.inf, scratch).most_depth for x in own]
         assert (np.array(most) >= true - ROUNDING).all()
         asked += len(own)
-    field = case.geometry.pools.body.node_field
+    field = pools_of(case)[1].field.node_field
     for fragment in case.oracle.fragment_ids:
         nodes = np.flatnonzero(case.oracle.labels == fragment)
         inside, _ = case.oracle.depth(fragment, field[nodes, 4:], ALL_KINDS)
@@ -241,18 +251,18 @@ def _world_of(
 
 
 @pytest.mark.parametrize(
-    ("jitter", "budget"),
-    [(0.02, 0), (0.15, 1000), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.02, 1000), (0.15, 0)))],
+    ("jitter", "most"),
+    [(0.02, 0), (0.15, 100), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.02, 100), (0.15, 0)))],
 )
-def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitter: float, budget: int) -> None:
+def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitter: float, most: int) -> None:
     world = case.world
-    if budget:
+    if most:
         body = TetGeometry(case.oracle.vertices, case.oracle.tetrahedra)
-        limited = AVERAGED._replace(visit_budget=budget)
+        limited = AVERAGED._replace(max_work=most)
         world = _world_of(body, case.oracle, case.messages[1], limited).world
     states = case.states(jitter, seed=1)
     answer, poses = world.contacts(states), Poses(states)
-    assert bool(answer.status & BUDGET_EXHAUSTED) <= bool(budget)
+    assert bool(answer.status & BUDGET_EXHAUSTED) <= bool(most)
     listed, epsilon = pairs_of(answer), AVERAGED.penetration_tolerance
     witnesses = {"a": answer.points_a.reshape(-1, 3), "b": answer.points_b.reshape(-1, 3)}
     normals = answer.normals.reshape(-1, 3)
@@ -289,13 +299,15 @@ def _bytes(answer) -> bytes:
 
 
 def test_fields_that_are_not_used_are_not_stored() -> None:
-    """The exact field stores no averaged field; under the averaged field an unbroken body stores no interior."""
+    """Our method stores neither trees nor an averaged field; an unbroken body stores no interior."""
     case = fractured_world(SHAPES["ball"](), 4, 1)
-    assert case.geometry.pools.field == EXACT
-    assert not len(case.geometry.pools.body.node_field) and not len(case.geometry.pools.mesh.grid_depth)
-    assert not case.world._ledger.bodies[1].mesh.interior
+    paper = case.geometry.paper.pools
+    assert len(paper.trees.entries) and not len(paper.field.node_field) and not len(paper.field.grid_depth)
+    ours = with_settings(case, Settings(threads=1))
+    ours.contacts(case.states())
+    assert ours.geometry.paper is None and not ours._ledger.bodies[1].mesh.paper
     world = CollisionWorld(AVERAGED)
     world.add_body(case.messages[0][0])
     world.contacts(FragmentStates(1, 0, np.array([1]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])))
-    assert not world._ledger.bodies[1].mesh.interior
-    assert not len(world._registry.geometry.pools.mesh.grid_depth)
+    assert not world._ledger.bodies[1].mesh.paper[0].interior
+    assert not len(world.geometry.paper.pools.field.grid_depth)

@@ -9,10 +9,11 @@ from oracles.fragmented_body import FragmentedBody
 from truth.certificate_campaign import Part, campaign
 from truth.contact_truth import COARSE_SHAPES, ContactTruth, Poses, check_pair, pairs_of
 from worlds.fractured_worlds import FracturedWorld
+from worlds.sampled_worlds import SampledWorld
 
 from fracture_collision.geometry.generators import brick
 from fracture_collision.records import CollisionBody, FragmentStates
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world import Settings
 
 QUICK = {name: COARSE_SHAPES[name] for name in ("torus", "l_block", "shell")}
 
@@ -39,7 +40,7 @@ def test_the_bound_holds_for_a_hundred_thousand_pairs() -> None:
 def test_crack_samples_close_around_an_interior_node_are_not_missed() -> None:
     """A crack 0.0005 R beside a layer of interior nodes: their crack samples lie within epsilon of them."""
     body = brick((2.0, 2.0, 2.0), 0.5)
-    oracle, world = FragmentedBody(*body), CollisionWorld(Settings(threads=1, surfaces="sampled"))
+    oracle, world = FragmentedBody(*body), SampledWorld(Settings(threads=1))
     event = voronoi_event(oracle, 1, np.array([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]]), 2)
     oracle.apply(event)
     message = CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel(), density=1.0)

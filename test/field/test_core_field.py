@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles.fragmented_body import ALL_KINDS
-from worlds.fractured_worlds import DENSITY, FracturedWorld, fractured_world
+from worlds.fractured_worlds import DENSITY, FracturedWorld, fractured_world, samples_of
 
 from fracture_collision.core.field.elementary_queries import INSIDE, NEAR, inside_tetrahedron, probe
 from fracture_collision.core.mesh.occupancy import sphere_may_touch
@@ -128,8 +128,7 @@ def test_no_surface_point_is_farther_from_a_sample_than_the_gap(case: FracturedW
     random = np.random.default_rng(5)
     for fragment, gap in zip(registry.fragment_ids.tolist(), registry.sampling_gaps, strict=True):
         row = case.row(fragment)
-        tree = case.geometry.sphere_tree(row)
-        samples = tree.center[tree.on_surface == 1]
+        samples, _ = samples_of(case.geometry, row)
         if consistent_planes:
             assert case.oracle.distance_to_surface(fragment, samples, SURFACE)[0].max() <= 1e-12
         triangles = case.oracle.surface_triangles(fragment, SURFACE)

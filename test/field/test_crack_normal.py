@@ -10,7 +10,8 @@ from oracles.brute_force import distances
 from oracles.crack_normal import SharedCrack
 from truth.contact_truth import ContactTruth, Poses, pairs_of, sample_ids, surface_samples
 from truth.rims import broken_body, jittered, measure, world_of
-from worlds.fractured_worlds import fractured_world, with_settings
+from worlds.fractured_worlds import SETTINGS, fractured_world, samples_of, with_settings
+from worlds.sampled_worlds import EVERY, SampledWorld, in_order, sampled_world
 
 from fracture_collision.core.mesh.sample_numbers import EDGES, NODES
 from fracture_collision.geometry.concave_shapes import torus
@@ -18,7 +19,8 @@ from fracture_collision.geometry.generators import ball, brick, plate, shell
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
-SETTINGS = Settings(threads=1, selection="complete")
+FACING = Settings(threads=1, contacts_per_pair=EVERY)  # of a SampledWorld
+NEAREST = SETTINGS._replace(contacts_per_pair=EVERY)
 SAME = 1e-9
 BODIES = {
     "ball": lambda: ball(1.0, 0.2),
@@ -33,17 +35,16 @@ BODIES = {
 def test_contacts_equal_those_of_the_slow_twin(shape: str, cracks: str) -> None:
     geometry = ball(1.0, 0.45) if shape == "ball" else brick((2.0, 1.0, 0.8), 0.4)
     case = fractured_world(geometry, seeds=5, generations=2, curved=cracks == "curved")
-    near = SETTINGS.detection_tolerance
+    near = FACING.detection_tolerance
+    worlds = with_settings(case, NEAREST), sampled_world(case, FACING)
     shared: dict[tuple[int, int], SharedCrack] = {}
     turned = kept = 0
     # far enough to touch fragments that are not neighbours, near enough to touch cracks
     for seed, distance in enumerate((0.01, 0.05, 0.3)):
         states = case.states(distance, seed)
         poses = Poses(states)
-        plain = with_settings(case, SETTINGS._replace(normals="nearest")).contacts(states)
-        answer = case.world.contacts(states)
+        plain, answer = (in_order(world.contacts(states)) for world in worlds)
         assert np.array_equal(answer.contact_ids, plain.contact_ids)
-        assert np.array_equal(answer.missed_depth_bound, plain.missed_depth_bound)
         for (a, b), (rows, _) in pairs_of(answer).items():
             samples = _is_sample_of(case, a, b, answer.contact_ids[rows])
             for i, of_a in zip(range(rows.start, rows.stop), samples, strict=True):
@@ -79,9 +80,9 @@ def _is_sample_of(case, a: int, b: int, ids: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("shape", BODIES)
 def test_few_normals_point_away_from_the_crack(shape: str, cracks: str) -> None:
     broken = broken_body(BODIES[shape](), 16, cracks == "curved")
-    worlds = [world_of(broken, SETTINGS._replace(normals=normals)) for normals in ("nearest", "facing")]
+    worlds = world_of(broken, NEAREST), world_of(broken, FACING, SampledWorld)
     frames = [jittered(broken, worlds[0], 0.01, 1.0, seed) for seed in range(4)]
-    deeper = SETTINGS.penetration_tolerance
+    deeper = FACING.penetration_tolerance
     is_corner = _corners_of(worlds[1])
     nearest = measure(broken, worlds[0], frames, deeper)
     crack = measure(broken, worlds[1], frames, deeper, lambda answer: ~is_corner(answer))
@@ -109,7 +110,7 @@ def _corners_of(world: CollisionWorld) -> Callable[[ContactConstraintArray], np.
     rows = world.present(in_place).rows
     ids = []
     for own, row in zip(fragments, rows.tolist(), strict=True):
-        samples = world.geometry.sphere_tree(row).sample
+        _, samples = samples_of(world.geometry, row)
         samples = np.unique(samples[samples >= mesh[NODES] + 2 * mesh[EDGES]])
         ids += [sample_ids(own, other, samples) for other in fragments if other != own]
     return lambda answer: np.isin(answer.contact_ids, np.concatenate(ids))
@@ -119,8 +120,7 @@ def test_fragments_in_place_touch_along_their_cracks() -> None:
     """All gaps are 0: there the nearest surface depends on rounding, but the crack's direction does not."""
     broken = broken_body(BODIES["shell"](), 16, curved=True)
     off = []
-    for normals in ("nearest", "facing"):
-        world = world_of(broken, SETTINGS._replace(normals=normals))
+    for world in (world_of(broken, NEAREST), world_of(broken, FACING, SampledWorld)):
         off.append(measure(broken, world, [jittered(broken, world, 0.0, 0.0, 0)], -np.inf).off)
     assert off[0] > 0.1
     assert off[1] < 0.05
@@ -129,8 +129,9 @@ def test_fragments_in_place_touch_along_their_cracks() -> None:
 def test_witnesses_are_on_the_surface_and_no_contact_is_less_deep() -> None:
     case = fractured_world(shell(1.0, 0.8, 0.5), seeds=6, curved=True)
     truth, states = ContactTruth(case), case.states(0.02, 5)
-    answer = case.world.contacts(states)
-    plain = with_settings(case, SETTINGS._replace(normals="nearest")).contacts(states)
+    answer, plain = (
+        in_order(world.contacts(states)) for world in (sampled_world(case, FACING), with_settings(case, NEAREST))
+    )
     inside = plain.gaps < 0.0
     assert (answer.gaps[inside] <= plain.gaps[inside] + SAME).all()
     assert (answer.gaps[inside] < plain.gaps[inside] - SAME).any()

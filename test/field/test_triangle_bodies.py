@@ -8,7 +8,7 @@ from oracles.convex_cells import distances_to_triangles, nearest_on_triangles
 from oracles.fragmented_body import ALL_KINDS
 from scipy.spatial.transform import Rotation
 from truth.contact_truth import sample_ids
-from worlds.fractured_worlds import fractured_world
+from worlds.fractured_worlds import SETTINGS, fractured_world, samples_of
 from worlds.rigid_shapes import (
     RigidShape,
     boundary_of,
@@ -19,6 +19,7 @@ from worlds.rigid_shapes import (
     torus,
     true_distance,
 )
+from worlds.sampled_worlds import EVERY, SampledWorld
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.core.bodies.prepared import prepare_surface
@@ -31,7 +32,6 @@ from fracture_collision.records import SPHERE, CollisionBody, FragmentStates, So
 from fracture_collision.world import CollisionWorld, Settings
 
 SHAPES = {"torus": torus, "l_block": l_block, "cube": cube, "noisy_ball": noisy_ball, "hollow_box": hollow_box}
-SETTINGS = Settings(threads=1, selection="complete")
 STACK_SPACE = np.empty(STACK, np.int32)
 IN_PLACE = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -215,16 +215,16 @@ def test_sphere_contacts_equal_brute_force(shape: RigidShape) -> None:
     assert touching >= 5
 
 
-@pytest.mark.parametrize("normals", ["nearest", "facing"])
+@pytest.mark.parametrize("kind", [CollisionWorld, SampledWorld], ids=["nearest", "facing"])
 @pytest.mark.parametrize("jitter", [0.05, 0.2])
-def test_fragments_against_a_rigid_body(shape: RigidShape, jitter: float, normals: str) -> None:
+def test_fragments_against_a_rigid_body(shape: RigidShape, jitter: float, kind: type[CollisionWorld]) -> None:
     """Gaps both ways against brute force; no sample deeper than the bound is left out. R = 1 m.
 
     A facing surface may be farther than the nearest, by up to `crack_normal.FARTHER`.
     """
-    farther = FARTHER if normals == "facing" else 0.0
+    farther = FARTHER if kind is SampledWorld else 0.0
     case = fractured_world(ball(1.0, 0.4), seeds=5, generations=1)
-    world = CollisionWorld(SETTINGS._replace(normals=normals))
+    world = kind(SETTINGS if kind is CollisionWorld else Settings(threads=1, contacts_per_pair=EVERY))
     world.add_body(case.messages[0][0]._replace(body_id=1))
     world.add_body(CollisionBody(2, 500, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel()))
     world.add_fracture(case.messages[1][0])
@@ -253,11 +253,10 @@ def test_fragments_against_a_rigid_body(shape: RigidShape, jitter: float, normal
         assert bound <= epsilon + 1e-9
         gaps = dict(zip(answer.contact_ids[rows].tolist(), answer.gaps[rows].tolist(), strict=True))
         for own, other in ((fragment, 500), (500, fragment)):
-            tree = geometry.sphere_tree(world._registry.row_of(own))
-            leaf = (tree.size == 1) & (tree.on_surface == 1)
-            in_world = rotations[own].apply(tree.center[leaf]) + positions[own]
+            points, numbers = samples_of(geometry, world._registry.row_of(own))
+            in_world = rotations[own].apply(points) + positions[own]
             depths = depth_in[other](rotations[other].inv().apply(in_world - positions[other]))
-            for key, depth in zip(sample_ids(own, other, tree.sample[leaf]).tolist(), depths, strict=True):
+            for key, depth in zip(sample_ids(own, other, numbers).tolist(), depths, strict=True):
                 if key not in gaps:
                     assert depth <= bound
                 elif depth > 1e-9:
@@ -274,7 +273,7 @@ def test_equal_geometries_share_one_preprocess() -> None:
     assert world.fragments().fragment_ids.tolist() == [1, 2, 3]
     pools = world._registry.geometry.pools
     assert len(pools.triangles.node_range) == 1 and len(pools.triangles.corners) == len(shape.triangles)
-    assert (pools.fragment.tree_begin == pools.fragment.tree_begin[0]).all()
+    assert (pools.fragment.sample_begin == pools.fragment.sample_begin[0]).all()
 
 
 def test_same_bytes_for_any_number_of_threads() -> None:

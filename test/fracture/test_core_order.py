@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.max_distance_order import order_by_definition, two_furthest
 
-from fracture_collision.core.tree.max_distance_order import max_distance_order
-from fracture_collision.core.tree.point_hierarchy import build_point_hierarchy
+from fracture_collision.core.glondu2014.max_distance_order import max_distance_order
+from fracture_collision.core.glondu2014.point_hierarchy import build_point_hierarchy
 
 LATTICE = st.tuples(*[st.integers(-3, 3)] * 3)
 FLOAT = st.floats(-1e3, 1e3, allow_subnormal=False)

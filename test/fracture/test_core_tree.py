@@ -8,13 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.corner_samples import corner_samples
 from oracles.fragmented_body import FragmentedBody
-from worlds.fractured_worlds import SETTINGS, fractured_world
+from worlds.fractured_worlds import SETTINGS, fractured_world, tree_of
 
-from fracture_collision.core.bodies.fragment_trees import REBUILT, TREES
-from fracture_collision.core.tree.sphere_tree import build_sphere_tree, validate_sphere_tree
+from fracture_collision.core.glondu2014.paper_pools import REBUILT
+from fracture_collision.core.glondu2014.sphere_tree import build_sphere_tree, validate_sphere_tree
 from fracture_collision.geometry.generators import ball, plate
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.records import FragmentStates
+from fracture_collision.world import PaperSettings
+from fracture_collision.world.settings import CHOICES
 
 
 @settings(max_examples=40, deadline=None)
@@ -36,11 +38,12 @@ def test_the_validator_rejects_a_broken_tree() -> None:
         validate_sphere_tree(tree, np.arange(1, 51))
 
 
-@pytest.mark.parametrize("kind", TREES)
+@pytest.mark.parametrize("kind", CHOICES["tree"])
 @pytest.mark.parametrize("curved", [False, True], ids=["flat", "curved"])
 @pytest.mark.parametrize("body", [ball(1.0, 0.3), plate(2.0, 0.2, 0.3, 0.1)], ids=["ball", "plate"])
 def test_trees_are_sphere_trees_after_each_of_five_fractures(body, curved: bool, kind: str) -> None:
-    case = fractured_world(body, seeds=5, generations=5, curved=curved, settings=SETTINGS._replace(tree=kind))
+    settings = SETTINGS._replace(paper=PaperSettings("exact", kind))
+    case = fractured_world(body, seeds=5, generations=5, curved=curved, settings=settings)
     oracle = FragmentedBody(body.vertices, body.tetrahedra)
     at_surface = np.zeros(len(body.vertices), bool)
     at_surface[boundary_triangles(body.tetrahedra)] = True
@@ -60,7 +63,7 @@ def test_trees_are_sphere_trees_after_each_of_five_fractures(body, curved: bool,
                 if tuple(edge) in oracle.planes and oracle.labels[edge[side]] == fragment
             ]
             nodes = np.flatnonzero((oracle.labels == fragment) & (at_surface if kind == REBUILT else True))
-            tree = case.geometry.sphere_tree(case.row(fragment))
+            tree = tree_of(case.geometry, case.row(fragment))
             own = corners[fragment]
             validate_sphere_tree(tree, np.concatenate([nodes, ends, list(own)]).astype(np.int64))
             for number, point in own.items():
@@ -76,7 +79,7 @@ def test_trees_of_more_fragments_than_one_mask_holds_are_valid() -> None:
     assert len(case.oracle.fragment_ids) > 64
     for fragment in case.oracle.fragment_ids:
         row = case.row(fragment)
-        tree = case.geometry.sphere_tree(row)
+        tree = tree_of(case.geometry, row)
         nodes = tree.sample[(tree.size == 1) & (tree.sample < len(case.oracle.vertices))]
         assert np.array_equal(np.sort(nodes), np.flatnonzero(case.oracle.labels == fragment))
         validate_sphere_tree(tree, tree.sample[tree.size == 1])

@@ -8,31 +8,28 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.sphere_tree_split import flat, fragment_tree, nested
-from worlds.fractured_worlds import SETTINGS, fractured_world
+from worlds.fractured_worlds import SETTINGS, fractured_world, samples_of, tree_of
 
-from fracture_collision.core.bodies.fragment_trees import TREES
-from fracture_collision.core.bodies.pool_tables import PoolTables
-from fracture_collision.core.memory.pools import ALTERNATING, EXACT, FACING, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.glondu2014.fragment_trees import TreeTable, tree_of_rows
+from fracture_collision.core.glondu2014.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
+from fracture_collision.core.glondu2014.sphere_tree_deal import BATCH
+from fracture_collision.core.glondu2014.sphere_tree_split import TreeArrays, rows_of_split, split_sphere_tree
 from fracture_collision.core.mesh.sample_numbers import NewSamples
-from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree, validate_sphere_tree
-from fracture_collision.core.tree.sphere_tree_deal import BATCH
-from fracture_collision.core.tree.sphere_tree_split import TreeArrays, rows_of_split, split_sphere_tree
 from fracture_collision.geometry.generators import brick
+from fracture_collision.world import PaperSettings
+from fracture_collision.world.settings import CHOICES
 
 
 def pooled(tree: SphereTree) -> tuple[np.ndarray, np.ndarray]:
     """The tree as rows of TreePool."""
-    tables = PoolTables(ALTERNATING, EXACT, FACING)
-    tables.append_tree(tree)
-    return tables.pools.tree.spheres, tables.pools.tree.entries
+    table = TreeTable()
+    table.append(tree)
+    return table.view.spheres, table.view.entries
 
 
 def unpooled(spheres: np.ndarray, entries: np.ndarray) -> SphereTree:
     """The inverse of `pooled`; checks that the marks match the tree."""
-    tree = SphereTree(
-        spheres[:, :3].copy(), spheres[:, 3].copy(), entries[:, SIZE].copy(), entries[:, SAMPLE].copy(),
-        (entries[:, SURFACE] == OWN_SAMPLE).astype(np.uint8),
-    )  # fmt: skip
+    tree = tree_of_rows(spheres, entries)
     assert np.array_equal(entries, pooled(tree)[1])
     return tree
 
@@ -115,13 +112,18 @@ def test_more_fragments_than_bits_of_a_mask() -> None:
 def test_all_three_trees_sample_the_surface_at_the_same_points() -> None:
     body = brick((2.0, 1.0, 0.8), 0.3)
     cases = [
-        fractured_world(body, 6, generations=3, curved=True, settings=SETTINGS._replace(tree=kind)) for kind in TREES
+        fractured_world(body, 6, 3, True, SETTINGS._replace(paper=PaperSettings("exact", kind)))
+        for kind in CHOICES["tree"]
     ]
     for fragment in cases[0].oracle.fragment_ids:
         found = []
         for case in cases:
-            tree = case.geometry.sphere_tree(case.row(fragment))
+            tree = tree_of(case.geometry, case.row(fragment))
             own = np.flatnonzero((tree.size == 1) & (tree.on_surface == 1))
             own = own[np.argsort(tree.sample[own])]
             found.append((tree.sample[own].tolist(), tree.center[own].tolist()))
-        assert found[0] == found[1] == found[2]
+        # and our own method has these samples without any tree
+        points, numbers = samples_of(cases[0].geometry, cases[0].row(fragment))
+        own = np.argsort(numbers)
+        found.append((numbers[own].tolist(), points[own].tolist()))
+        assert found[0] == found[1] == found[2] == found[3]

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
+from worlds.fractured_worlds import FracturedWorld, fractured_world
+from worlds.sampled_worlds import EVERY, sampled_world
 
 from fracture_collision.geometry.generators import ball, shell
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.world import CollisionWorld, Settings
-from fracture_collision.world.inspection import EVERY_CONTACT
 
 EPSILON = 0.05  # [R]
-# Seeds are samples; with edges, deep pairs have contacts of whole surfaces instead.
-SEEDED = Settings(threads=1, surfaces="sampled", neighbour_lists=False, penetration_tolerance=EPSILON)
-EVERYTHING = SEEDED._replace(contacts_per_pair=EVERY_CONTACT)
-NEAREST = {"normals": "nearest"}  # gaps are then the depths that the bound refers to; along turned normals they are not
+SEEDED = Settings(threads=1, penetration_tolerance=EPSILON)
+EVERYTHING = SEEDED._replace(contacts_per_pair=EVERY)
 Contact = tuple[float, ...]
 
 
@@ -39,6 +37,7 @@ def contacts_by_pair(answer: ContactConstraintArray) -> dict[tuple[int, int], di
 
 
 def visits_and_answer(world: CollisionWorld, states) -> tuple[int, ContactConstraintArray]:
+    world.forget()
     answer = world.contacts(states)
     return world.last_visits, answer
 
@@ -47,8 +46,8 @@ def visits_and_answer(world: CollisionWorld, states) -> tuple[int, ContactConstr
 def test_seeds_are_among_all_contacts(case: FracturedWorld, jitter: float) -> None:
     """The slow twin is the search for all contacts, which uses no seeds: no pair has that many."""
     states = case.states(jitter)
-    visits, answer = visits_and_answer(with_settings(case, SEEDED), states)
-    all_visits, everything = visits_and_answer(with_settings(case, EVERYTHING), states)
+    visits, answer = visits_and_answer(sampled_world(case, SEEDED), states)
+    all_visits, everything = visits_and_answer(sampled_world(case, EVERYTHING), states)
     seeded, known = contacts_by_pair(answer), contacts_by_pair(everything)
     wanted = SEEDED.contacts_per_pair
     assert {pair for pair, own in known.items() if own} == {pair for pair, own in seeded.items() if own}
@@ -61,7 +60,7 @@ def test_seeds_are_among_all_contacts(case: FracturedWorld, jitter: float) -> No
 
 def test_pairs_in_place_are_answered_by_their_seeds(case: FracturedWorld) -> None:
     """A pair that shares a crack costs eight visits, regardless of the crack's size."""
-    world, states = with_settings(case, SEEDED), case.states(0.0)
+    world, states = sampled_world(case, SEEDED), case.states(0.0)
     pairs = [pair for pair in contacts_by_pair(world.contacts(states)) if len(_seeds_of(world, pair)) >= 8]
     assert len(pairs) > 5
     for a, b in pairs:
@@ -77,7 +76,7 @@ def test_pairs_in_place_are_answered_by_their_seeds(case: FracturedWorld) -> Non
 
 def test_contacts_of_seeds_are_spread_over_the_crack(case: FracturedWorld) -> None:
     """Farthest first: every seed of a pair is as near to one of its eight contacts as those are to each other."""
-    world = with_settings(case, SEEDED)
+    world = sampled_world(case, SEEDED)
     answer = world.contacts(case.states(0.0))
     checked = 0
     for pair, own in contacts_by_pair(answer).items():
@@ -104,26 +103,3 @@ def _seeds_of(world: CollisionWorld, pair: tuple[int, int]) -> np.ndarray:
     ends = pools.mesh.nodes[pools.mesh.edges[edges]]
     share = pools.body.edge_share[edges + pools.fragment.edge_shift[a]]
     return ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
-
-
-@pytest.mark.parametrize("budget", [1, 3, 20])
-def test_seeds_count_towards_the_visit_budget(case: FracturedWorld, budget: int) -> None:
-    """A budget too small for the seeds still yields contacts, and the bound covers the unlisted ones."""
-    states = case.states(0.004)
-    everything = with_settings(case, EVERYTHING._replace(**NEAREST)).contacts(states)
-    pairs = len(everything.fragment_a)
-    world = with_settings(case, SEEDED._replace(visit_budget=budget * 4 * pairs, **NEAREST))
-    answer = world.contacts(states)
-    bounds = dict(
-        zip(
-            zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True),
-            answer.missed_depth_bound.tolist(), strict=True,
-        )
-    )  # fmt: skip
-    own, known = contacts_by_pair(answer), contacts_by_pair(everything)
-    for pair, contacts in known.items():
-        missed = [-contact[-1] for name, contact in contacts.items() if name not in own.get(pair, {})]
-        if missed and pair in bounds:
-            assert max(missed) <= bounds[pair]
-    assert len(answer.gaps) > 0
-

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings
+from worlds.sampled_worlds import sampled_world
 
 from fracture_collision.core.fracture import touched_tetrahedra
 from fracture_collision.core.memory.pools import BACK_SIDE, FANNED, FRONT_SIDE, KIND, OLD_FACE, OWNER, PARTED, ROW
@@ -16,6 +17,7 @@ from fracture_collision.core.mesh.connected_pieces import connected_pieces
 from fracture_collision.core.mesh.cut_tetrahedron import CUT, DIVIDED
 from fracture_collision.geometry.generators import ball, brick, plate, shell
 from fracture_collision.records import ContactConstraintArray, FragmentStates
+from fracture_collision.world import Settings
 from fracture_collision.world.gates.fracture_match import first_split
 
 SHAPES = {
@@ -95,18 +97,19 @@ def test_split_parts_are_those_that_scipy_finds(nodes: int, edges: int, count: i
     assert first_split(ends, begin, labels, count) == (split[0] if split else -1, between)
 
 
-EVERY = SETTINGS._replace(penetration_tolerance=0.0, contacts_per_pair=10**6, normals="nearest")
+EVERY = SETTINGS._replace(penetration_tolerance=0.0, contacts_per_pair=10**6)
 
 
 @pytest.mark.parametrize("curved", [False, True], ids=["flat", "curved"])
 def test_no_sample_is_deeper_than_it_has_moved(curved: bool) -> None:
     """Hardly moved fragments: if epsilon exceeds their motion, no search is needed, and the bound covers the motion."""
     case = fractured_world(ball(1.0, 0.25), 8, generations=2, curved=curved)
-    coarse = SETTINGS._replace(penetration_tolerance=0.05, neighbour_lists=False)
-    quick, every = with_settings(case, coarse), with_settings(case, EVERY._replace(neighbour_lists=False))
+    coarse = Settings(threads=1, penetration_tolerance=0.05)
+    quick, every = sampled_world(case, coarse), with_settings(case, EVERY)
     visits = np.zeros(2)
     for seed in range(5):
         states = case.states(0.01, seed)
+        quick.forget()
         answer, full = quick.contacts(states), every.contacts(states)
         visits += quick.last_visits, every.last_visits
         told = {pair: i for i, pair in enumerate(_pairs(answer))}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracles.fracture_patterns import voronoi_event
 from scipy.spatial.transform import Rotation
-from worlds.fractured_worlds import FracturedWorld, with_settings
+from worlds.fractured_worlds import FracturedWorld, samples_of, with_settings
 from worlds.hard_worlds import (
     BRICK,
     EVERY_CONTACT,
@@ -162,8 +162,7 @@ def test_a_block_in_the_middle_of_another(kind: str) -> None:
     answer = world.contacts(
         FragmentStates(1, 0, np.array([1, 2]), np.append(np.zeros(3), shift), np.append(UPRIGHT, turn.as_quat()))
     )
-    tree = world._registry.geometry.sphere_tree(world._registry.row_of(2))
-    samples = turn.apply(tree.center[(tree.size == 1) & (tree.on_surface == 1)]) + shift
+    samples = turn.apply(samples_of(world.geometry, world._registry.row_of(2))[0]) + shift
     half = np.array([1.0, 1.0, 0.5])
     expected = np.sort(-depth_in_box(samples, -half, half))
     assert expected.min() < -0.45 and expected.max() < 0.0

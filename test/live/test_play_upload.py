@@ -69,6 +69,7 @@ def test_an_uploaded_torus_is_smashed(browser: Any, scene: LivePage, tmp_path: P
         scene.until(lambda: scene.status.scene == "plates", "another scene")
         page.reload()
         page.wait_for_selector("canvas")
+        until(lambda: knob(page, "scene").input_value(), lambda name: name == "plates")
         choose(page, "scene", "upload_1")
         scene.until(lambda: scene.status.scene == "upload_1" and scene.status.fragments == 1, "the torus, whole again")
 

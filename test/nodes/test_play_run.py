@@ -85,10 +85,10 @@ def test_the_service_looks_ahead_by_a_step_of_the_scene_that_is_played(out: Path
     with played("pane", -1, out, "127.0.0.1", 0) as run:
         ears = ServiceClient(run.domain_id)
         try:
-            assert ears.parameters("lookahead", "surfaces") == [0.0025, "edges"]
+            assert ears.parameters("lookahead", "method") == [0.0025, "exact"]
             with page_client(run.address, origin=run.address) as own:
                 own.set("scene", "drop_bunnies")
-                wait_until(lambda: ears.parameters("lookahead", "surfaces") == [0.005, "edges"])
+                wait_until(lambda: ears.parameters("lookahead", "method") == [0.005, "exact"])
         finally:
             ears.close()
         run.check()

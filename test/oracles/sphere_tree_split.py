@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fracture_collision.core.tree.sphere_tree import SphereTree
+from fracture_collision.core.glondu2014.sphere_tree import SphereTree
 
 
 class Node:

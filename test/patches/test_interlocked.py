@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
+from worlds.sampled_worlds import ForgetfulWorld
 
 from benchmarks.peers.judging.least_translation import least_translation
 from fracture_collision.core.patches.interlocked import _satisfying
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates, Settings
 
-EDGES = Settings(surfaces="edges")
+SETTINGS = Settings()
 
 
 def hook() -> trimesh.Trimesh:
@@ -37,7 +38,7 @@ SHAPES = {
 
 
 def contacts_of(first: str, second: str, turns: np.ndarray, offset: np.ndarray) -> ContactConstraintArray:
-    world = CollisionWorld(EDGES)
+    world = CollisionWorld(SETTINGS)
     for i, name in enumerate((first, second), 1):
         mesh = SHAPES[name]
         world.add_body(CollisionBody(i, i, vertices=mesh.vertices.ravel(), triangles=mesh.faces.ravel()))
@@ -126,8 +127,8 @@ def test_what_is_kept_of_a_pair_does_not_change_an_answer() -> None:
     """Two hooks, a torus and a can creep around each other; a world that forgets says the same."""
     names, random = ("hook", "torus", "hook", "can"), np.random.default_rng(3)
     worlds = []
-    for settings in (EDGES, EDGES._replace(neighbour_lists=False)):
-        world = CollisionWorld(settings)
+    for kind in (CollisionWorld, ForgetfulWorld):
+        world = kind(SETTINGS)
         for i, name in enumerate(names, 1):
             mesh = SHAPES[name]
             world.add_body(CollisionBody(i, i, vertices=mesh.vertices.ravel(), triangles=mesh.faces.ravel()))

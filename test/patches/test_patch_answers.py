@@ -90,7 +90,7 @@ def test_answers_do_not_depend_on_earlier_ones_nor_on_threads() -> None:
     listed = 0
     for step in range(40):
         asked = states(step, places, turns, linear, angular)
-        fresh = CollisionWorld(SETTINGS._replace(neighbour_lists=False))
+        fresh = CollisionWorld(SETTINGS)
         for k, mesh in enumerate(meshes):
             fresh.add_body(body(k + 1, mesh))
         truth = fresh.contacts(asked)

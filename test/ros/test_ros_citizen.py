@@ -143,9 +143,8 @@ def test_settings_change_between_two_answers(stage: StageWithClients) -> None:
     start = Settings(threads=1)
     assert field_bytes(client.ask(STATES, RUN)) == answer_of(start)
     for change in (
-        {"contacts_per_pair": 2}, {"penetration_tolerance": 0.1}, {"detection_tolerance": 0.05}, {"visit_budget": 40},
-        {"field": "averaged"}, {"normals": "nearest"}, {"traversal": "queue"}, {"tree": "plain"}, {"threads": 2},
-        {"neighbour_lists": False},
+        {"contacts_per_pair": 2}, {"penetration_tolerance": 0.1}, {"detection_tolerance": 0.05}, {"max_work": 40},
+        {"method": "glondu2014"}, {"threads": 2},
     ):  # fmt: skip
         assert client.set_parameters(**change) == [""]
         assert field_bytes(client.ask(STATES, RUN)) == answer_of(start._replace(**change)), change
@@ -165,17 +164,18 @@ def test_answers_and_registries_say_what_they_were_made_with(stage: StageWithCli
     tell_all(client)
     assert client.ask(STATES, RUN).lookahead == 0.01
     assert client.ask(STATES._replace(positions=STATES.positions * np.nan), RUN).lookahead == 0.01, "of a refusal"
-    for change in ({"lookahead": 0.02}, {"surfaces": "sampled"}, {"threads": 2}, {"contacts_per_pair": 5}):
+    for change in ({"lookahead": 0.02}, {"max_work": 9}, {"threads": 2}, {"contacts_per_pair": 5}):
         assert client.set_parameters(**change) == [""]
         client.ask(STATES, RUN)
     assert client.answers[-1].lookahead == 0.02
     client.spin_until(lambda: len(client.registries) == 4, "a registry for each change that answers depend on")
+    work = Settings().max_work
     told = [json.loads(registry.settings) for registry in client.registries]
-    named = [(each["lookahead"], each["surfaces"], each["contacts_per_pair"]) for each in told]
-    assert named == [(0.01, "edges", 8), (0.02, "edges", 8), (0.02, "sampled", 8), (0.02, "sampled", 5)]
+    named = [(each["lookahead"], each["max_work"], each["contacts_per_pair"]) for each in told]
+    assert named == [(0.01, work, 8), (0.02, work, 8), (0.02, 9, 8), (0.02, 9, 5)]
     assert len({registry.digest for registry in client.registries}) == 1
     assert client.registries[-1].settings == settings_text(
-        Settings(lookahead=0.02, surfaces="sampled", contacts_per_pair=5)
+        Settings(lookahead=0.02, max_work=9, contacts_per_pair=5)
     )
 
 
@@ -185,7 +185,7 @@ def test_invalid_parameter_changes_are_rejected_with_an_explanation(stage: Stage
     client.await_service()
     tell_all(client)
     for change, words in (
-        ({"field": "guessed"}, "field: 'guessed' is not one of exact, averaged"),
+        ({"method": "guessed"}, "method: 'guessed' is not one of exact, glondu2014"),
         ({"contacts_per_pair": 0}, "contacts_per_pair"),
         ({"penetration_tolerance": -0.001}, "penetration_tolerance"),
         ({"penetration_tolerance": "much"}, "Wrong parameter type"),
@@ -198,21 +198,21 @@ def test_invalid_parameter_changes_are_rejected_with_an_explanation(stage: Stage
 
 def test_a_misspelt_parameter_is_named(stage: StageWithClients, tmp_path: Path) -> None:
     file = tmp_path / "service.yaml"
-    given = {"/**/collision_node": {"ros__parameters": {"contacts_per_pairs": 3, "colour": "red", "field": "averaged"}}}
-    file.write_text(yaml.safe_dump(given))
-    service = stage.start("collision_node", "--params-file", str(file), threads=1, visitbudget=5, use_sim_time=False)
+    given = {"contacts_per_pairs": 3, "colour": "red", "method": "glondu2014"}
+    file.write_text(yaml.safe_dump({"/**/collision_node": {"ros__parameters": given}}))
+    service = stage.start("collision_node", "--params-file", str(file), threads=1, maxwork=5, use_sim_time=False)
     client = stage.client()
     client.await_service()
     said = [line.partition("]: ")[2] for line in service.log_text().splitlines() if "ERROR" in line]
     assert said == [
         "parameter colour is unknown and has no effect",
         "parameter contacts_per_pairs is unknown and has no effect; did you mean contacts_per_pair?",
-        "parameter visitbudget is unknown and has no effect; did you mean visit_budget?",
+        "parameter maxwork is unknown and has no effect; did you mean max_work?",
     ]
     client.spin_until(lambda: SETTINGS in client.diagnostics, "diagnostics")
     assert client.diagnostics[SETTINGS] == "; ".join(("since the start", *said))
     assert client.levels[SETTINGS] == DiagnosticStatus.WARN
-    assert client.details[SETTINGS]["contacts_per_pair"] == "8" and client.details[SETTINGS]["field"] == "averaged"
+    assert client.details[SETTINGS]["contacts_per_pair"] == "8" and client.details[SETTINGS]["method"] == "glondu2014"
 
 
 def test_limits_are_parameters(stage: StageWithClients) -> None:

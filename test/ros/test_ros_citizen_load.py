@@ -24,7 +24,7 @@ STATES = FragmentStates(
 
 
 def service_with_two_balls(stage: StageWithClients) -> ServiceClient:
-    stage.start("collision_node", threads=1, neighbour_lists=False)
+    stage.start("collision_node", threads=1, method="glondu2014")
     client = stage.client()
     client.await_service()
     mesh = ball(0.5, 0.06)
@@ -54,7 +54,7 @@ def visits_told(client: ServiceClient) -> int:
 def test_states_faster_than_answers_are_dropped_and_counted(stage: StageWithClients) -> None:
     client = service_with_two_balls(stage)
     # computing an answer takes far longer than sending a message
-    assert client.set_parameters(selection="complete", neighbour_lists=False, penetration_tolerance=0.0) == [""] * 3
+    assert client.set_parameters(penetration_tolerance=0.0) == [""]
     least = cost(client)
     answered_before = len(client.answers)
     client.answers.clear()
@@ -95,19 +95,18 @@ def test_states_faster_than_answers_are_dropped_and_counted(stage: StageWithClie
     )
 
 
-def test_a_visit_budget_limits_the_cost_and_bounds_the_missed_depth(stage: StageWithClients) -> None:
+def test_a_limit_of_work_limits_the_cost_and_bounds_the_missed_depth(stage: StageWithClients) -> None:
     client = service_with_two_balls(stage)
-    assert client.set_parameters(selection="complete", neighbour_lists=False) == ["", ""]
     whole = client.ask(STATES, RUN)
     assert whole.status == 0
     assert visits_told(client) > 800
     bounds = []
-    for budget in (400, 100):
-        assert client.set_parameters(visit_budget=budget) == [""]
+    for most in (100, 25):
+        assert client.set_parameters(max_work=most) == [""]
         answer = client.ask(STATES, RUN)
         assert answer.status == BUDGET_EXHAUSTED
         bounds.append(answer.missed_depth_bound.max())
-        assert visits_told(client) <= budget
+        assert visits_told(client) <= 4 * most
     assert bounds[1] >= bounds[0] > 2.0 * whole.missed_depth_bound.max()
-    assert client.set_parameters(visit_budget=0) == [""]
+    assert client.set_parameters(max_work=2_000_000) == [""]
     assert client.ask(STATES, RUN).status == 0

@@ -17,7 +17,7 @@ from fracture_collision.ros.wire.cdr_padding import zero_padding
 from fracture_collision.ros.wire.conversion import heading, to_message, to_record
 from fracture_collision.share import share_directory
 from fracture_collision.world import Settings
-from fracture_collision.world.settings import settings_text
+from fracture_collision.world.settings import settings_text, values_of
 
 RANDOM = np.random.default_rng(11)
 
@@ -153,4 +153,4 @@ def test_parameter_file_has_every_setting_with_its_default() -> None:
     file = yaml.safe_load((share_directory() / "config" / "collision.yaml").read_text())
     given = file["/**/collision_node"]["ros__parameters"]
     assert given.pop("timing_file") == "" and given.pop("allow_takeover") is False
-    assert given == Settings()._asdict()
+    assert given == values_of(Settings())

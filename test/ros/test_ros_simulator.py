@@ -37,15 +37,15 @@ def test_settings_that_a_simulator_does_not_expect_are_logged_once_per_change(
     for lookahead in (0.0, 0.0025, 0.02, 0.0):
         assert client.set_parameters(lookahead=lookahead) == [""]
         await_answers(lookahead, 20)
-    assert client.set_parameters(surfaces="sampled") == [""]
-    client.spin_until(lambda: "has surfaces:=sampled" in simulator.log_text(), "a warning")
+    assert client.set_parameters(method="glondu2014") == [""]
+    client.spin_until(lambda: "has method:=glondu2014" in simulator.log_text(), "a warning")
     await_answers(0.0, 20)
     log = simulator.log_text()
     words = "have a lookahead of {} s, but this simulation counts on its time step, 0.0025 s"
     assert log.count(words.format("0")) == 2 and log.count(words.format("0.02")) == 1
-    assert log.count("a lookahead of") == 3 and log.count("has surfaces:=") == 1
+    assert log.count("a lookahead of") == 3 and log.count("has method:=") == 1
     assert "fast bodies may pass through others. Set the service's parameter lookahead:=0.0025" in log
-    assert "but this simulator expects edges: bodies whose edges cross may pass through each other" in log
+    assert "but this simulator expects exact: contacts are at samples alone, so bodies whose edges cross may" in log
 
 
 def test_run_ids_differ_by_scene_and_seed() -> None:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from fracture_collision.core.bodies.pool_tables import PoolTables
 from fracture_collision.core.lookahead.motion import NO_MOTION, Motion
 from fracture_collision.core.memory.kinds import PLANE, TETRAHEDRA
-from fracture_collision.core.memory.pools import EXACT, FACING, FragmentPool
+from fracture_collision.core.memory.pools import FragmentPool
 from fracture_collision.core.pair.broad_phase import FEW, NOTHING_PAIRED, Paired, pairs_within_reach
 
 TOLERANCE, MOST = 0.01, 1 << 20
@@ -25,7 +25,7 @@ def heap(count: int, random: np.random.Generator) -> tuple[FragmentPool, np.ndar
     radius = np.where(kind == PLANE, np.inf, half.max(axis=1))
     shape = np.zeros((count, 4))
     shape[1], shape[-2] = [0.0, 0.0, 1.0, 0.2], [0.6, 0.0, 0.8, -0.1]
-    tables = PoolTables(0, EXACT, FACING)
+    tables = PoolTables()
     for name, rows in (("box", box), ("radius", radius), ("kind", kind), ("shape", shape)):
         tables.fragment[name].append(rows)
     return tables.pools.fragment, (kind == PLANE) | (random.random(count) < 0.1)

@@ -170,9 +170,10 @@ DEPTH = """
 import json
 import numpy as np
 from fracture_collision.geometry.generators import brick
-from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates, Settings
+from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates, PaperSettings, Settings
 mesh = brick((1.0, 1.0, 1.0), 0.5)
-world = CollisionWorld(Settings(surfaces="sampled"))
+paper = PaperSettings(field="exact")
+world = CollisionWorld(Settings(method="glondu2014", paper=paper))
 for number in (1, 2):
     world.add_body(CollisionBody(number, number, vertices=mesh.vertices.ravel(), tetrahedra=mesh.tetrahedra.ravel()))
 positions, turns = np.array([0.0, 0.0, 0.0, 0.03, 0.04, 0.98]), np.tile([0.0, 0.0, 0.0, 1.0], 2)

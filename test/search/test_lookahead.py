@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from worlds.fractured_worlds import FracturedWorld
+from worlds.sampled_worlds import SampledWorld
 from worlds.thrown_fragments import (
     AHEAD,
     BALL,
@@ -33,12 +34,15 @@ def case(request) -> FracturedWorld:
     return thrown_case(request.param)
 
 
-@pytest.mark.parametrize(("spin", "surfaces"), [(0.0, "sampled"), (10.0, "sampled"), (10.0, "edges")])
-def test_listed_pairs_are_those_that_meet_in_small_steps(case: FracturedWorld, spin: float, surfaces: str) -> None:
+@pytest.mark.parametrize(("spin", "kind"), [(0.0, SampledWorld), (10.0, SampledWorld), (10.0, CollisionWorld)])
+def test_listed_pairs_are_those_that_meet_in_small_steps(
+    case: FracturedWorld, spin: float, kind: type[CollisionWorld]
+) -> None:
     """A separate pair is listed if it will be deeper than epsilon, with points that meet at the time of contact."""
-    settings = SETTINGS._replace(surfaces=surfaces)
-    world, now = with_others(case, settings), with_others(case, settings._replace(lookahead=0.0))
-    of_samples = with_others(case, settings._replace(lookahead=0.0, surfaces="sampled"))
+    still = SETTINGS._replace(lookahead=0.0)
+    world, now, of_samples = with_others(case, SETTINGS, kind), with_others(case, still, kind), None
+    if kind is not SampledWorld:
+        of_samples = with_others(case, still, SampledWorld)
     met = unmet = unfollowed = 0
     for seed in range(10):
         states = thrown(case, seed, spin)
@@ -48,7 +52,7 @@ def test_listed_pairs_are_those_that_meet_in_small_steps(case: FracturedWorld, s
         unfollowed += unlisted(listed, deep - touching.keys() - ahead.keys())
         reach = 2.0 * 0.002 + 0.3 * (20.0 + spin) * AHEAD / MOMENTS
         # ridges that cross no deeper than HELD before their ends are inside are left to the next query
-        last = first if surfaces == "sampled" else meeting_in_small_steps(of_samples, states)[0]
+        last = first if of_samples is None else meeting_in_small_steps(of_samples, states)[0]
         for pair, rows in ahead.items():
             assert pair in first or listed.gaps[rows].min() > 0.0
             if pair not in first:
@@ -57,7 +61,7 @@ def test_listed_pairs_are_those_that_meet_in_small_steps(case: FracturedWorld, s
             begin, end = (round(t / AHEAD * MOMENTS) for t in (first[pair], last.get(pair, AHEAD)))
             steps = AHEAD / MOMENTS * np.arange(begin, max(begin, end) + 1)
             apart = [_least_distance(now, states, listed, pair, rows, t) for t in steps]
-            assert apart[0] < (reach if surfaces == "sampled" else reach + HELD)
+            assert apart[0] < (reach if of_samples is None else reach + HELD)
             assert min(apart) < reach
             assert listed.gaps[rows].max() > 0.0
             met += 1

@@ -7,9 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from worlds.fractured_worlds import FracturedWorld
 from worlds.hard_worlds import tetrahedral_body
+from worlds.sampled_worlds import ForgetfulWorld
 from worlds.thrown_fragments import AHEAD, CASES, SETTINGS, later, rows_of, thrown, thrown_case, with_others
 
-from fracture_collision.core.pair import narrow_phase
+from fracture_collision.core.search import passes
 from fracture_collision.geometry.generators import brick
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
@@ -54,8 +55,8 @@ def case_positions(case: FracturedWorld, seed: int) -> np.ndarray:
 def test_the_answer_does_not_depend_on_neighbour_lists_or_threads(case: FracturedWorld) -> None:
     """With and without lists, with one and two threads, along a sequence of states."""
     worlds = [
-        with_others(case, SETTINGS._replace(neighbour_lists=lists, threads=threads))
-        for lists, threads in ((True, 1), (False, 1), (True, 2))
+        with_others(case, SETTINGS._replace(threads=threads), kind)
+        for kind, threads in ((CollisionWorld, 1), (ForgetfulWorld, 1), (CollisionWorld, 2))
     ]
     states = thrown(case, 2, 10.0)
     still = states._replace(linear_velocities=np.zeros(0), angular_velocities=np.zeros(0))
@@ -82,7 +83,7 @@ def test_each_answer_of_a_course_is_that_of_a_world_without_memory(name: str, fi
     """Pairs that come near within the step, but no deeper than epsilon, were listed or not by what was remembered."""
     scene = load_scene(name)
     settings = Settings(threads=1, lookahead=scene.time_step)
-    slow = CollisionWorld(settings._replace(neighbour_lists=False))
+    slow = ForgetfulWorld(settings)
     events: list[FractureEvent] = []
     with Lockstep(scene, settings) as run:
         for body in run.simulation.start_bodies():
@@ -176,8 +177,8 @@ def test_the_answer_does_not_depend_on_buffer_sizes(monkeypatch: pytest.MonkeyPa
     """A pair that does not fit in the buffer is searched again, and again for its lookahead contacts."""
     worlds = [CollisionWorld(SETTINGS) for _ in range(2)]
     enough = worlds[0].contacts(rod_on_one_end(worlds[0], 40.0))
-    monkeypatch.setattr(narrow_phase, "FIRST_ROOM", 1)
-    monkeypatch.setattr(narrow_phase, "LEAST_ROOM", 1)
+    monkeypatch.setattr(passes, "FIRST_ROOM", 1)
+    monkeypatch.setattr(passes, "LEAST_ROOM", 1)
     for name, x, y in zip(enough._fields, enough, worlds[1].contacts(rod_on_one_end(worlds[1], 40.0)), strict=True):
         assert np.asarray(x).tobytes() == np.asarray(y).tobytes(), name
 

@@ -11,7 +11,7 @@ from fracture_collision.core.lookahead.motion import Motion, Moving, put_pose, p
 from fracture_collision.core.lookahead.staying_apart import least_gap_ahead
 from fracture_collision.core.memory import kinds
 from fracture_collision.core.memory.pair import Pair, Step
-from fracture_collision.core.memory.pools import SIZE, Pools
+from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.pair import narrow_phase
 from fracture_collision.core.search.scratch import Scratch
 from fracture_collision.core.separation.approach import WAY, nearer_along
@@ -94,6 +94,5 @@ def _query(
 
 
 def _leaf_points(pools: Pools, row: int) -> np.ndarray:
-    """(n, 3) float64 [m]: points of the leaves of a fragment's tree."""
-    begin, end = pools.fragment.tree_begin[row], pools.fragment.tree_end[row]
-    return pools.tree.spheres[begin:end][pools.tree.entries[begin:end, SIZE] == 1, :3]
+    """(n, 3) float64 [m]: a fragment's samples."""
+    return pools.samples.points[pools.fragment.sample_begin[row] : pools.fragment.sample_end[row]]

@@ -1,4 +1,4 @@
-"""Valid states of excessive cost: omissions by limits are bounded, and each pair's share is deterministic."""
+"""Valid states of excessive cost: omissions by limits are bounded, and what is left out is deterministic."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import pytest
 from truth.contact_truth import COARSE_SHAPES, ContactTruth, Poses, check_pair, pairs_of
 from worlds.fractured_worlds import SETTINGS, fractured_world, with_settings
 from worlds.hard_worlds import tetrahedral_body
+from worlds.sampled_worlds import sampled_world
 
 from benchmarks.scaling.crowds import CLOSE, crowd, measure_crowds
-from fracture_collision.core.pair.narrow_phase import _level
+from fracture_collision.core.search.passes import _level
 from fracture_collision.geometry.generators import ball
 from fracture_collision.records import (
     BOX,
@@ -20,7 +21,7 @@ from fracture_collision.records import (
     FragmentStates,
     SolidPrimitive,
 )
-from fracture_collision.world import CollisionWorld, InvalidMessage
+from fracture_collision.world import CollisionWorld, InvalidMessage, PaperSettings, Settings
 
 
 def size_of(answer: ContactConstraintArray) -> int:
@@ -40,7 +41,7 @@ def test_a_hundred_bodies_in_one_place_are_answered(kind: str, spread: float) ->
     assert size_of(answer) < 20e6
     # every pair has a contact or is listed for its bound
     assert kind == "tetrahedra" or len(answer.fragment_a) >= 4900
-    assert (answer.status == BUDGET_EXHAUSTED) == (kind == "mixed")  # the others are convex
+    assert answer.status == 0 or kind == "mixed"  # spheres touch balls at many places
 
 
 def test_a_thousand_bodies_in_one_place_are_rejected_with_an_explanation() -> None:
@@ -60,36 +61,21 @@ def test_memory_for_a_crowd_is_limited(kind: str, count: int) -> None:
 
 
 @pytest.mark.parametrize("kind", ["boxes", "tetrahedra", "mixed"])
-def test_shares_do_not_depend_on_threads_lists_or_earlier_steps(kind: str) -> None:
-    limits = dict(max_visits=100_000, max_further_visits=20_000, max_contacts_per_pair=30, max_contacts=4_000)
+def test_answers_within_limits_do_not_depend_on_threads_lists_or_earlier_steps(kind: str) -> None:
     answers = []
-    for threads, lists in ((1, True), (2, True), (5, False)):
-        world, states = crowd(kind, 40, 0.4, threads=threads, neighbour_lists=lists, **limits)
+    for threads, forgets in ((1, False), (2, False), (5, True)):
+        world, states = crowd(kind, 40, 0.4, threads=threads, max_work=5_000, max_contacts=1_500)
         moved = states._replace(positions=states.positions + 1e-5)
         half = states._replace(positions=np.append(moved.positions[:60], states.positions[60:]))
         told = []
         for step in (states, half, moved, states, half):
+            if forgets:
+                world.forget()
             answer = world.contacts(step)
             told.append(bytes_of(answer))
         answers.append(tuple(told))
-    assert answer.status == BUDGET_EXHAUSTED and len(answer.gaps) > 1000
+    assert answer.status == BUDGET_EXHAUSTED and len(answer.gaps) > 700
     assert len(set(answers)) == 1
-
-
-@pytest.mark.parametrize("kind", ["boxes", "tetrahedra", "mixed"])
-def test_bounds_between_samples_do_not_depend_on_earlier_steps(kind: str) -> None:
-    """Bodies arrive, and pairs that stand still lose contacts to the limit: they are searched between samples again."""
-    answers, most = [], 8 if kind == "mixed" else 24
-    for lists in (True, False):
-        world, states = crowd(
-            kind, 12, 1.3, neighbour_lists=lists, surfaces="searched", max_contacts=most, contacts_per_pair=4
-        )
-        positions = np.append(states.positions[:18], 3.0 * states.positions[18:])
-        before = world.contacts(states._replace(positions=positions))
-        after = world.contacts(states)
-        answers.append((bytes_of(before), bytes_of(after)))
-    assert before.status == 0 and after.status == BUDGET_EXHAUSTED
-    assert answers[0] == answers[1]
 
 
 def test_pairs_that_exceed_their_buffer_are_searched_again(monkeypatch) -> None:
@@ -97,28 +83,26 @@ def test_pairs_that_exceed_their_buffer_are_searched_again(monkeypatch) -> None:
     world, states = crowd("boxes", 30, 0.05, contacts_per_pair=400, threads=2)
     reference = bytes_of(world.contacts(states))
     for room in (1, 100, 10_000):
-        monkeypatch.setattr("fracture_collision.core.pair.narrow_phase.LEAST_ROOM", room)
-        monkeypatch.setattr("fracture_collision.core.pair.narrow_phase.FIRST_ROOM", 0)
+        monkeypatch.setattr("fracture_collision.core.search.passes.LEAST_ROOM", room)
+        monkeypatch.setattr("fracture_collision.core.search.passes.FIRST_ROOM", 0)
         for threads in (1, 2, 3):
             world.change_settings(world.settings._replace(threads=threads))
             assert bytes_of(world.contacts(states)) == reference
 
 
-@pytest.mark.parametrize("field", ["exact", "averaged"])
-@pytest.mark.parametrize(
-    "limits",
-    [
-        {"max_contacts_per_pair": 4}, {"max_contacts": 60}, {"max_contacts": 3}, {"max_further_visits": 30},
-        {"max_visits": 500}, {"max_visits": 100},
-    ],
-    ids=str,
-)  # fmt: skip
-def test_the_bound_covers_contacts_omitted_by_a_limit(limits: dict, field: str) -> None:
+@pytest.mark.parametrize("kind", ["exact field", "averaged field", "ours"])
+@pytest.mark.parametrize("limits", [{"max_contacts": 60}, {"max_contacts": 3}, {"max_work": 50}], ids=str)
+def test_the_bound_covers_contacts_omitted_by_a_limit(limits: dict, kind: str) -> None:
     """Against every sample by brute force; the deepest contacts are kept."""
     case = fractured_world(COARSE_SHAPES["ball"](), seeds=5, generations=2, curved=True)
     states, truth = case.states(0.2, seed=2), ContactTruth(case)
-    chosen = SETTINGS._replace(normals="nearest", field=field, contacts_per_pair=2)
-    whole, limited = with_settings(case, chosen), with_settings(case, chosen._replace(**limits))
+    chosen = SETTINGS._replace(contacts_per_pair=2)
+    if kind == "averaged field":
+        chosen = chosen._replace(paper=PaperSettings())
+    if kind == "ours":
+        chosen = Settings(threads=1, contacts_per_pair=10)
+    make = sampled_world if kind == "ours" else with_settings
+    whole, limited = make(case, chosen), make(case, chosen._replace(**limits))
     everything, answer = whole.contacts(states), limited.contacts(states)
     assert answer.status == BUDGET_EXHAUSTED and everything.status == 0
     listed, poses = pairs_of(answer), Poses(states)
@@ -126,7 +110,7 @@ def test_the_bound_covers_contacts_omitted_by_a_limit(limits: dict, field: str) 
         check = check_pair(truth, poses, answer, pair, listed, SETTINGS.penetration_tolerance)
         assert check.deepest_unlisted <= check.bound + 1e-9, (pair, check)
     assert len(answer.gaps) <= limits.get("max_contacts", len(everything.gaps))
-    if field == "exact" and "max_visits" not in limits and "max_further_visits" not in limits:
+    if kind == "exact field" and "max_work" not in limits:
         its = pairs_of(everything)
         for pair, (rows, _) in listed.items():
             deepest = np.sort(everything.gaps[its[pair][0]])[: len(answer.gaps[rows])]
@@ -136,18 +120,18 @@ def test_the_bound_covers_contacts_omitted_by_a_limit(limits: dict, field: str) 
 def test_the_limit_per_pair_is_the_largest_that_fits() -> None:
     random = np.random.default_rng(2)
     for _ in range(300):
-        counts = random.integers(0, random.integers(1, 40), random.integers(1, 12))
-        most = int(random.integers(0, 1.2 * counts.sum() + 2))
+        counts = random.integers(0, random.integers(2, 40), random.integers(1, 12)) + 1
+        most = int(random.integers(0, counts.sum()))
         level = _level(counts, most)
         assert np.minimum(counts, level).sum() <= most
-        assert level == counts.max() or np.minimum(counts, level + 1).sum() > most
+        assert np.minimum(counts, level + 1).sum() > most
 
 
-def test_a_pair_with_a_plane_has_a_finite_bound_when_a_limit_leaves_it_unsearched() -> None:
-    """No visit is left for the pairs: the bound is by the boxes, and no true contact is deeper."""
+def test_a_pair_with_a_plane_has_a_finite_bound_when_a_limit_cuts_its_search_short() -> None:
+    """A few samples are queried: the bound is by the boxes, and no true contact is deeper."""
     for height in (0.3, 0.0, -0.3):
         answers = []
-        for limits in ({"max_visits": 1}, {}):
+        for limits in ({"max_work": 1}, {}):
             world = CollisionWorld(SETTINGS._replace(**limits))
             world.add_body(tetrahedral_body(ball(0.5, 0.1)))
             world.add_body(CollisionBody(2, 2, plane=[0.0, 0.0, 1.0, 0.0], is_static=True))

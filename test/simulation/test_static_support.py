@@ -88,7 +88,7 @@ def test_a_slab_on_an_invisibly_narrow_edge_falls():
     scene = hooked()
     in_contact = scene.solver._replace(rest_gap=0.0, rest_slop=0.002)
     for solver, floats in ((scene.solver, False), (in_contact, True)):
-        with Lockstep(scene._replace(solver=solver), Settings(threads=1, selection="complete")) as run:
+        with Lockstep(scene._replace(solver=solver), Settings(threads=1)) as run:
             for _ in range(100):
                 run.step()
             states = run.simulation._engine.states()

@@ -88,5 +88,12 @@ def on_a_plate(page: Any) -> tuple[float, float]:
 
 
 def choose(page: Any, label: str, option: str) -> None:
-    knob(page, label).click()
-    page.get_by_role("option", name=option, exact=True).click()
+    """As a user does: once more, if the page was drawn anew under the click."""
+
+    def chosen() -> str:
+        if knob(page, label).input_value() != option:
+            knob(page, label).click()
+            page.get_by_role("option", name=option, exact=True).click()
+        return knob(page, label).input_value()
+
+    until(chosen, lambda value: value == option)

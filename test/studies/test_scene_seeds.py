@@ -80,8 +80,9 @@ def test_a_body_in_another_is_deep() -> None:
     depth = 0.003
     found = found_as_placed(STANDING, (CUBE, [0.0, 0.0, 1.5 * SIDE + 1e-4 - depth]))
     assert found.overlap.fragments == (2, 3)
-    assert found.overlap.depth_m == pytest.approx(depth, rel=1e-6)
-    assert found.overlap.depth == pytest.approx(depth / (SIDE / 2.0), rel=1e-6)
+    # flush: no sample is deep, and libigl has the surfaces in single precision
+    assert found.overlap.depth_m == pytest.approx(depth, abs=SIDE * float(np.finfo(np.float32).eps))
+    assert found.overlap.depth == pytest.approx(found.overlap.depth_m / (SIDE / 2.0), rel=1e-6)
     assert found.faults == ["2 in 3: 3.00 % R, 3.00 mm"]
 
 

@@ -74,7 +74,7 @@ def lines() -> list[dict[str, str]]:
         made.append(line(world, "fcl mesh", 9.0, 0.02))
         made += [line(world, "exact vertices (warp)", 30.0, 0.0), line(world, named(RESOLUTION, 6), 1.0, 0.003)]
         made += [line(world, named("contacts_per_pair", n), 2.0 + 0.1 * n, 0.001 + 0.001 / n) for n in (32, 1, 2)]
-        made += [line(world, named("selection", "complete"), 1.5, 0.001), line(world, SAME_MESHES, 1.4, 0.001)]
+        made += [line(world, named("method", "glondu2014"), 1.5, 0.001), line(world, SAME_MESHES, 1.4, 0.001)]
         silent = dict.fromkeys(made[0], "")  # has an update only
         made.append(silent | {"world": world, "method": "exact field at nodes (libigl)", "update": "50"})
     return made

@@ -11,25 +11,27 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from worlds.fractured_worlds import after_each_fracture, fractured_world, with_settings
+from worlds.fractured_worlds import SETTINGS as PAPERS
+from worlds.fractured_worlds import after_each_fracture, fractured_world, with_messages
+from worlds.sampled_worlds import SampledWorld
 
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.records import BUDGET_EXHAUSTED
-from fracture_collision.world import Settings
+from fracture_collision.world import CollisionWorld, Settings
 from truth.contact_truth import SHAPES, ContactTruth, PairCheck, Poses, check_pair, pairs_of, piled
 
-COMPLETE = Settings(threads=1, selection="complete")
-SUFFICIENT = Settings(threads=1, surfaces="sampled")  # contacts of whole surfaces are no samples
+OURS = Settings(threads=1)  # at samples alone: contacts of whole surfaces are no samples
 SETTINGS = (
-    COMPLETE,
-    COMPLETE._replace(visit_budget=1_000),
-    COMPLETE._replace(contacts_per_pair=1, penetration_tolerance=0.02),
-    COMPLETE._replace(visit_budget=5_000, contacts_per_pair=4),
-    COMPLETE._replace(contacts_per_pair=32, penetration_tolerance=0.0, detection_tolerance=0.01),
-    COMPLETE._replace(visit_budget=25_000, penetration_tolerance=0.01),
-    COMPLETE._replace(contacts_per_pair=4, penetration_tolerance=0.0005, detection_tolerance=0.0),
-    SUFFICIENT,
-    SUFFICIENT._replace(contacts_per_pair=3, deep_contacts_per_pair=5, penetration_tolerance=0.01),
+    PAPERS,
+    PAPERS._replace(max_work=100),
+    PAPERS._replace(contacts_per_pair=1, penetration_tolerance=0.02),
+    PAPERS._replace(max_work=500, contacts_per_pair=4),
+    PAPERS._replace(contacts_per_pair=32, penetration_tolerance=0.0, detection_tolerance=0.01),
+    PAPERS._replace(max_work=2_500, penetration_tolerance=0.01),
+    PAPERS._replace(contacts_per_pair=4, penetration_tolerance=0.0005, detection_tolerance=0.0),
+    OURS,
+    OURS._replace(max_work=500),
+    OURS._replace(contacts_per_pair=3, penetration_tolerance=0.01),
 )
 SPREADS = (0.15, 0.3, 0.5)  # [R] standard deviation of the fragments' centres from a common point
 
@@ -76,7 +78,8 @@ def campaign(
 
 def _part(shape: str, curved: bool, body: TetGeometry, wanted: int, seed: int, generations: int) -> Part:
     case = fractured_world(body, seeds=6, generations=generations, curved=curved, seed=seed)
-    worlds = [with_settings(case, settings) for settings in SETTINGS]
+    kinds = [CollisionWorld if settings.method == PAPERS.method else SampledWorld for settings in SETTINGS]
+    worlds = [with_messages(kind(settings), case) for kind, settings in zip(kinds, SETTINGS, strict=True)]
     checks: dict[bool, list[PairCheck]] = {False: [], True: []}
     violations: list[Violation] = []
     turn = 0

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from oracles.brute_force import distances, owners, partition_of
 from scipy.spatial.transform import Rotation
-from worlds.fractured_worlds import FracturedWorld
+from worlds.fractured_worlds import FracturedWorld, samples_of
 
 from fracture_collision.geometry.concave_shapes import l_block, torus
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, shell
@@ -64,9 +64,7 @@ class Poses:
 
 def surface_samples(case: FracturedWorld, fragment: int) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) [m, body frame] and numbers (n,) of the samples that may become contacts."""
-    tree = case.geometry.sphere_tree(case.row(fragment))
-    leaves = (tree.size == 1) & (tree.on_surface == 1)
-    return tree.center[leaves], tree.sample[leaves]
+    return samples_of(case.geometry, case.row(fragment))
 
 
 def sample_ids(own: int, other: int, samples: np.ndarray) -> np.ndarray:

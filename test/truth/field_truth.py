@@ -14,12 +14,12 @@ import numpy as np
 from oracles.brute_force import owners, partition_of
 from worlds.fractured_worlds import FracturedWorld
 
-from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
-from fracture_collision.core.memory.pools import AVERAGED, EXACT
+from fracture_collision.core.field.elementary_queries import INSIDE
+from fracture_collision.core.glondu2014.paper_probe import paper_probe
 from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 
-FIELDS = {"averaged": AVERAGED, "exact": EXACT}
+FIELDS = ("averaged", "exact")
 NEAR = 0.02  # of R: below this depth a point is near the surface
 INWARD = 0.01  # of R: the length of a step inwards
 NO_DIRECTION = 1e-9  # of R: nearer to the surface, the direction to the nearest point is rounding noise
@@ -114,12 +114,12 @@ def _probe(
     case: FracturedWorld, points: np.ndarray, fragments: np.ndarray, field: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Depth (n,) [m], most (n,) [m] and direction (n, 3) of each point in its fragment; nan if it is not inside."""
-    pools = case.geometry.pools._replace(field=FIELDS[field])
+    pools, paper = case.geometry.pools, case.geometry.paper.pools._replace(is_averaged=field == "averaged")
     scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     rows = {f: case.row(f) for f in case.oracle.fragment_ids}
     answers = np.full((len(points), 5), np.nan)
     for i, (point, fragment) in enumerate(zip(points.tolist(), fragments.tolist(), strict=True)):
-        found = bounded_probe(pools, rows[fragment], tuple(point), 0.0, np.inf, -1, False, scratch)
+        found = paper_probe(pools, paper, rows[fragment], tuple(point), 0.0, np.inf, scratch)
         if found.status == INSIDE:
             answers[i] = -found.distance, found.most_depth, found.nx, found.ny, found.nz
     return answers[:, 0], answers[:, 1], answers[:, 2:]

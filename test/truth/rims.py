@@ -76,8 +76,8 @@ def broken_body(geometry: TetGeometry, pieces: int, curved: bool, seed: int = 3)
     return BrokenBody(body, event, warp(seeds), amplitude, cell, set(map(tuple, ends.tolist())), longest)
 
 
-def world_of(broken: BrokenBody, settings: Settings) -> CollisionWorld:
-    world = CollisionWorld(settings)
+def world_of(broken: BrokenBody, settings: Settings, kind: type[CollisionWorld] = CollisionWorld) -> CollisionWorld:
+    world = kind(settings)
     world.add_body(broken.body)
     world.add_fracture(broken.event)
     ids = np.array(sorted(broken.cell))

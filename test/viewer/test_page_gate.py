@@ -118,9 +118,9 @@ def test_values_are_kept_within_their_controls(browserless: tuple[Queue[Any], Pa
     for value in (float("nan"), "7", True, None, [1], {}, 10.0**30):
         client.set("contacts_per_pair", value)
     assert heard.get(timeout=30.0).contacts_per_pair == 1024
-    for value in ("none", 1, "averaged"):
-        client.set("field", value)
-    assert heard.get(timeout=30.0).field == "averaged"
+    for value in ("none", 1, "glondu2014"):
+        client.set("method", value)
+    assert heard.get(timeout=30.0).method == "glondu2014"
     client.set("slow motion", 0)
     assert heard.get(timeout=30.0) == SLOWEST
     client.set("slow motion", "1", property="update_cb")  # would replace the control's handlers
@@ -135,7 +135,7 @@ def browserless() -> Iterator[tuple[Queue[Any], PageClient, PageClient]]:
     heard: Queue[Any] = Queue()
     knobs = {
         "contacts_per_pair": SettingKnob("contacts of a pair", 1, 1024),
-        "field": SettingKnob("depths", choices=("exact", "averaged")),
+        "method": SettingKnob("contacts", choices=("exact", "glondu2014")),
     }
     with (
         Page(Handlers(slow_motion=heard.put, service_set=heard.put), Start(settings=knobs)) as page,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from stages.browser import until
 from truth.contact_truth import COARSE_SHAPES, ContactTruth, piled
+from worlds.fractured_worlds import SETTINGS as TRUE
 from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
 
 from fracture_collision.cdr import Heading, Received
@@ -20,7 +21,6 @@ from fracture_collision.viewer.page.page_events import InsideWanted, PlaneWanted
 from fracture_collision.viewer.page.page_inside import InsideView
 from fracture_collision.world import Settings
 from fracture_collision.world.inspection import (
-    asked_with,
     errors_of,
     every_contact,
     field_on_plane,
@@ -31,7 +31,6 @@ from fracture_collision.world.inspection import (
 PATIENCE = 60.0  # [s]
 RUN = 17
 SETTINGS = Settings(threads=1, contacts_per_pair=3)
-TRUE = Settings(threads=1, normals="nearest")
 BOTH = InsideWanted(colliding=True, errors=True)
 
 
@@ -154,7 +153,7 @@ def test_settings_take_effect_at_once_in_a_paused_scene(stage: Stage) -> None:
     while (figures := stage.next_view().figures) is None or figures.is_replayed:
         pass
     for changes in (
-        {"contacts_per_pair": 32}, {"penetration_tolerance": 0.05}, {"field": "averaged"}, {"visit_budget": 1000},
+        {"contacts_per_pair": 32}, {"penetration_tolerance": 0.05}, {"method": "glondu2014"}, {"max_work": 100},
     ):  # fmt: skip
         settings = SETTINGS._replace(**changes)
         stage.mirror.hear_settings(settings._asdict())
@@ -180,7 +179,7 @@ def test_a_viewer_that_joins_a_paused_scene_sees_it(stage: Stage) -> None:
     figures = stage.next_view().figures
     states = stage.states(7)
     every = every_contact(with_settings(stage.case, TRUE), states)
-    few = asked_with(with_settings(stage.case, TRUE), states, contacts_per_pair=3)
+    few = with_settings(stage.case, SETTINGS).contacts(states)
     assert figures.is_replayed and (figures.contacts, figures.colliding) == (len(few.gaps), len(every.gaps))
 
 
@@ -197,6 +196,6 @@ def test_a_new_run_starts_afresh_and_the_mirror_stops_without_viewers(stage: Sta
     stage.mirror.hear_states(Received(heading(0.0), RUN + 1, states._replace(step=3)))
     assert stage.next_view().spheres.fragment_ids.tolist() == [1]
     stage.mirror.want(InsideWanted())
-    until(lambda: stage.mirror._run, lambda run: run is None)
+    until(lambda: stage.mirror._copies, lambda copies: not copies)
     stage.tell_step(4)
     assert not stage.mirror._is_new and stage.shown.empty()

@@ -39,8 +39,7 @@ PHONE, DESKTOP = (390, 844), (1280, 720)
 KNOBS = {
     "contacts_per_pair": SettingKnob("contacts of a pair", 1, 1024),
     "penetration_tolerance": SettingKnob("penetrations", 0, 1),
-    "field": SettingKnob("depths", choices=("exact", "averaged")),
-    "visit_budget": SettingKnob("nodes", 0, 2**40),
+    "method": SettingKnob("contacts", choices=("exact", "glondu2014")),
 }
 ALL = Handlers(*(lambda *_: None,) * len(Handlers._fields))
 JOINTS = tuple(Joint(f"j{i}", -1, 1) for i in range(7))
@@ -138,7 +137,7 @@ def test_the_controls_do_not_cover_the_scene_on_a_phone(browser: Any) -> None:
                 button.scroll_into_view_if_needed()
                 box = button.bounding_box()
                 assert box["height"] > 25 and box["width"] > 0.8 * width and box["x"] + box["width"] <= width
-            label = knob(seen, "visit_budget")
+            label = knob(seen, "contacts_per_pair")
             label.scroll_into_view_if_needed()
             assert label.bounding_box()["x"] + label.bounding_box()["width"] <= width
             handle.click()
@@ -148,8 +147,6 @@ def test_the_controls_do_not_cover_the_scene_on_a_phone(browser: Any) -> None:
 def test_settings_have_their_names_and_ranges(browser: Any) -> None:
     heard: Queue[ServiceSliders] = Queue()
     with Page(ALL._replace(service_set=heard.put), START) as page, opened(browser, page.address) as seen:
-        knob(seen, "visit_budget").fill("1099511627776")
-        assert heard.get(timeout=60).visit_budget == 2**40
         knob(seen, "contacts_per_pair").fill("1024")
         assert heard.get(timeout=60).contacts_per_pair == 1024
         knob(seen, "contacts_per_pair").fill("2000")

@@ -123,20 +123,16 @@ def test_sliders_reach_the_service_and_its_answers(scene: LivePage, page: Any) -
     has("penetration_tolerance", 0.0)
     scene.until(lambda: most_contacts() > 1, "pairs with several contacts")
 
-    assert not scene.answer.status & BUDGET_EXHAUSTED
-    knob(page, "visit_budget").fill("1")
-    has("visit_budget", 1)
-    scene.until(lambda: scene.answer.status & BUDGET_EXHAUSTED, "a budget that is used up")
-    knob(page, "visit_budget").fill("0")
-    has("visit_budget", 0)
-    scene.until(lambda: not scene.answer.status & BUDGET_EXHAUSTED, "no budget")
-
-    choose(page, "field", "averaged")
-    has("field", "averaged")
+    (ahead,) = scene.ears.parameters("lookahead")
+    assert ahead > 0.0
+    choose(page, "method", "glondu2014")
+    has("method", "glondu2014")
+    has("lookahead", 0.0)
     step = scene.status.step
-    scene.until(lambda: scene.status.step > step + 5, "answers by the other field")
-    choose(page, "field", "exact")
-    has("field", "exact")
+    scene.until(lambda: scene.status.step > step + 5, "answers by the other method")
+    choose(page, "method", "exact")
+    has("method", "exact")
+    has("lookahead", ahead)
 
     # the other direction: parameters set by another client appear on the panel
     assert scene.ears.set_parameters(contacts_per_pair=5) == [""]

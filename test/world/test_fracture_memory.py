@@ -15,7 +15,7 @@ from fracture_collision.world import CollisionWorld, Settings
 
 BALL = ball(0.5, 0.12)
 BODY = CollisionBody(1, 1, vertices=BALL.vertices, tetrahedra=BALL.tetrahedra)
-FIELDS = {"exact": Settings(threads=1), "averaged": Settings(threads=1, field="averaged")}
+FIELDS = {"exact": Settings(threads=1), "averaged": Settings(threads=1, method="glondu2014")}
 
 
 def chips() -> list[FractureEvent]:

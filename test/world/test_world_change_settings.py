@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, field_bytes, ground
 
-from fracture_collision.world import CollisionWorld, InvalidMessage, Settings
+from fracture_collision.world import CollisionWorld, InvalidMessage, PaperSettings, Settings
 
 START = Settings(threads=1)
 CHANGES = [
-    {"contacts_per_pair": 2}, {"penetration_tolerance": 0.1}, {"detection_tolerance": 0.05}, {"field": "averaged"},
-    {"surfaces": "sampled", "normals": "nearest"}, {"tree": "plain", "selection": "complete"},
-    {"tree": "rebuilt", "selection": "complete"}, {"traversal": "queue", "selection": "complete"},
-    {"selection": "complete"}, {"deep_contacts_per_pair": 9}, {"neighbour_lists": False}, {"threads": 3},
-    {"visit_budget": 40}, {"max_bodies": 1}, {"max_nodes": 1}, {"max_fragments": 1},
+    {"contacts_per_pair": 2}, {"penetration_tolerance": 0.1}, {"detection_tolerance": 0.05}, {"threads": 3},
+    {"method": "glondu2014"}, {"method": "glondu2014", "paper": PaperSettings(field="exact")},
+    {"method": "glondu2014", "paper": PaperSettings(tree="plain")},
+    {"method": "glondu2014", "paper": PaperSettings(tree="rebuilt")},
+    {"method": "glondu2014", "paper": PaperSettings(traversal="queue")}, {"max_work": 40}, {"max_contacts": 20},
+    {"max_bodies": 1}, {"max_nodes": 1}, {"max_fragments": 1},
 ]  # fmt: skip
 # No effect on answers: these affect the next body or fracture, or only the time.
-UNSEEN = {"neighbour_lists", "threads", "max_bodies", "max_nodes", "max_fragments"}
+UNSEEN = {"threads", "max_bodies", "max_nodes", "max_fragments"}
 
 # STATES, and variants with the pieces pushed into each other and lifted off the ground.
 MOVED = STATES._replace(positions=STATES.positions + np.array([0, 0, 0, 0, 0, 0.02, -0.03, 0.01, 0.02, -0.05, 0, 0.02]))
@@ -43,7 +44,7 @@ def told_world(settings: Settings) -> CollisionWorld:
 def test_a_change_gives_the_answers_of_a_world_made_with_it(change: dict) -> None:
     world = told_world(START)
     before = answers(world)
-    limits_only = all(name.startswith("max_") for name in change)
+    limits_only = set(change) <= UNSEEN
     made_with_it = told_world(START if limits_only else START._replace(**change))
     world.change_settings(START._replace(**change))
     registry = world.fragments()
@@ -73,8 +74,11 @@ def test_registries_name_the_settings_that_change_answers_alone(change: dict) ->
     before = json.loads(world.fragments().settings)
     world.change_settings(START._replace(**change))
     after = json.loads(world.fragments().settings)
-    assert after == before | {name: value for name, value in change.items() if name not in UNSEEN}
-    assert after.keys() == set(Settings._fields) - UNSEEN - {"max_pairs", "max_message_bytes"}
+    told = {name: value for name, value in change.items() if name not in UNSEEN}
+    if "method" in told:
+        told["paper"] = told.get("paper", PaperSettings())._asdict()
+    assert after == before | told
+    assert before.keys() == set(Settings._fields) - UNSEEN - {"paper", "max_pairs", "max_message_bytes"}
 
 
 def test_changed_limits_apply_to_later_messages() -> None:

@@ -17,7 +17,7 @@ from fracture_collision.world import CollisionWorld, Settings
 
 BALL = ball(0.5, 0.25)
 SETTINGS = Settings(threads=1)
-AVERAGED = Settings(threads=1, field="averaged")
+AVERAGED = Settings(threads=1, method="glondu2014")
 
 
 def removal(body_id: int) -> CollisionBody:

@@ -8,8 +8,8 @@ import pytest
 from worlds.gate_world import REFERENCE, made_world
 
 from fracture_collision.core.fracture import crack_surfaces
-from fracture_collision.world import CollisionWorld, Settings
-from fracture_collision.world.settings import settings_text
+from fracture_collision.world import CollisionWorld, PaperSettings, Settings
+from fracture_collision.world.settings import OF_SERVICE, RANGES, for_step, meaning, settings_text
 from fracture_collision.world.warm_up import compile_kernels
 
 
@@ -17,13 +17,33 @@ from fracture_collision.world.warm_up import compile_kernels
     ("name", "value"),
     [
         ("contacts_per_pair", 0), ("penetration_tolerance", -0.1), ("detection_tolerance", 2.0), ("threads", -1),
-        ("visit_budget", -5), ("max_bodies", -1), ("field", "guessed"),
-        ("penetration_tolerance", float("nan")), ("tree", "grown"), ("traversal", "random"),
+        ("max_work", 0), ("max_bodies", -1), ("method", "guessed"), ("penetration_tolerance", float("nan")),
     ],
 )  # fmt: skip
 def test_a_setting_out_of_range_is_rejected_by_name(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=name):
         CollisionWorld(Settings()._replace(**{name: value}))
+
+
+@pytest.mark.parametrize("name", PaperSettings._fields)
+def test_an_unknown_variant_of_the_paper_is_rejected_by_name(name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name}: 'grown' is not one of"):
+        CollisionWorld(Settings(method="glondu2014", paper=PaperSettings()._replace(**{name: "grown"})))
+
+
+def test_a_setting_without_effect_is_rejected() -> None:
+    with pytest.raises(ValueError, match="lookahead: 0.01 has no effect"):
+        CollisionWorld(Settings(method="glondu2014", lookahead=0.01))
+    with pytest.raises(ValueError, match="paper: its variants are those of method glondu2014"):
+        CollisionWorld(Settings(paper=PaperSettings(tree="plain")))
+    assert for_step(0.01, {"method": "glondu2014"}).lookahead == 0.0
+    assert for_step(0.01, {}).lookahead == 0.01 and for_step(0.01, {"lookahead": 0.0}).lookahead == 0.0
+
+
+def test_there_are_few_settings_each_with_its_meaning() -> None:
+    assert len(OF_SERVICE) <= 14
+    assert set(OF_SERVICE) == RANGES.keys() | {"method"}
+    assert all(len(meaning(name)) > 10 for name in OF_SERVICE)
 
 
 def test_the_warm_up_compiles_what_only_a_second_fracture_needs() -> None:
@@ -37,15 +57,16 @@ def test_answers_and_registries_say_what_they_were_made_with() -> None:
     world = made_world(Settings(threads=1, lookahead=0.02))
     assert world.contacts(REFERENCE).lookahead == world.contacts(REFERENCE._replace(step=9)).lookahead == 0.02
     told = json.loads(world.fragments().settings)
-    assert told["lookahead"] == 0.02 and told["surfaces"] == "edges" and told["contacts_per_pair"] == 8
-    world.change_settings(Settings(threads=1, surfaces="sampled"))
+    assert told["lookahead"] == 0.02 and told["method"] == "exact" and told["contacts_per_pair"] == 8
+    world.change_settings(Settings(threads=1, method="glondu2014"))
     assert world.contacts(REFERENCE).lookahead == 0.0
-    assert json.loads(world.fragments().settings)["surfaces"] == "sampled"
+    told = json.loads(world.fragments().settings)
+    assert told["method"] == "glondu2014" and told["paper"] == PaperSettings()._asdict()
 
 
 def test_equal_settings_have_equal_texts() -> None:
     """Whatever numbers they are given by; on one line, with all digits."""
-    text = settings_text(Settings(lookahead=0, visit_budget=True, detection_tolerance=1))
-    assert '"lookahead": 0.0,' in text and '"visit_budget": 1,' in text and '"detection_tolerance": 1.0,' in text
+    text = settings_text(Settings(lookahead=0, max_work=True, detection_tolerance=1))
+    assert '"lookahead": 0.0,' in text and '"max_work": 1,' in text and '"detection_tolerance": 1.0,' in text
     assert "\n" not in text
     assert json.loads(settings_text(Settings(lookahead=1.0 / 120.0)))["lookahead"] == 1.0 / 120.0

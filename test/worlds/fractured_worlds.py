@@ -3,18 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from oracles.fracture_patterns import curved_event, voronoi_event
 from oracles.fragmented_body import FragmentedBody
 
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.glondu2014.sphere_tree import SphereTree
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world import CollisionWorld, PaperSettings, Settings
 
 DENSITY = 2500.0
-SETTINGS = Settings(threads=1, selection="complete")
+# The paper's method with exact depths: contacts at samples along the shortest way out, as the oracles have them.
+SETTINGS = Settings(threads=1, method="glondu2014", paper=PaperSettings(field="exact"))
+
+
+AnyWorld = TypeVar("AnyWorld", bound=CollisionWorld)
+
+
+def samples_of(geometry: CollisionGeometry, row: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) [m, body frame] and numbers (n,) of a fragment's samples, by its row."""
+    fragment, samples = geometry.pools.fragment, geometry.pools.samples
+    own = slice(fragment.sample_begin[row], fragment.sample_end[row])
+    return samples.points[own], samples.numbers[own]
+
+
+def tree_of(geometry: CollisionGeometry, row: int) -> SphereTree:
+    """A fragment's sphere tree, in a world of the paper's method."""
+    assert geometry.paper is not None
+    return geometry.paper.sphere_tree(row)
 
 
 class FracturedWorld(NamedTuple):
@@ -86,7 +105,11 @@ def after_each_fracture(case: FracturedWorld) -> Iterator[FracturedWorld]:
 
 def with_settings(case: FracturedWorld, settings: Settings) -> CollisionWorld:
     """A world of the same bodies and events with other settings."""
-    world = CollisionWorld(settings)
+    return with_messages(CollisionWorld(settings), case)
+
+
+def with_messages(world: AnyWorld, case: FracturedWorld) -> AnyWorld:
+    """The world after the bodies and events of `case`."""
     for body in case.messages[0]:
         world.add_body(body)
     for event in case.messages[1]:

@@ -18,17 +18,13 @@ from fracture_collision.geometry.generators import TetGeometry, brick
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.records import BOX, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings
-from worlds.fractured_worlds import DENSITY, FracturedWorld
-from worlds.fractured_worlds import SETTINGS as DEFAULTS
+from worlds.fractured_worlds import DENSITY, SETTINGS, FracturedWorld
 from worlds.rigid_shapes import boundary_of
 
 EventMaker = Callable[[FragmentedBody, int, int], FractureEvent]  # the body, first new fragment id, sequence
 
 # Half the longest side, R, is 1 m unless stated otherwise.
 ROUNDING = 1e-12
-# Brute force measures depth to the nearest surface; depth along a crack's normal may be larger, and the switch
-# between the two is discontinuous.
-SETTINGS = DEFAULTS._replace(normals="nearest")
 EVERY_CONTACT = SETTINGS._replace(contacts_per_pair=100_000)
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 BRICK = brick((2.0, 1.0, 1.0), 0.25)

@@ -39,8 +39,10 @@ def crossed(apart: float, beside: float) -> FragmentStates:
     return FragmentStates(1, 0, np.array([1, 2]), positions.ravel(), turns.ravel())
 
 
-def answer_of_rods(kind: str, settings: Settings, states: FragmentStates) -> ContactConstraintArray:
-    world = CollisionWorld(settings)
+def answer_of_rods(
+    kind: str, settings: Settings, states: FragmentStates, made: type[CollisionWorld] = CollisionWorld
+) -> ContactConstraintArray:
+    world = made(settings)
     for body_id in (1, 2):
         world.add_body(rod_of(kind, body_id))
     return world.contacts(states)

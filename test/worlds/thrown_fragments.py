@@ -15,7 +15,7 @@ from fracture_collision.records import (
     SolidPrimitive,
 )
 from fracture_collision.world import CollisionWorld, Settings
-from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_messages
 
 AHEAD = 0.02  # [s]
 SETTINGS = Settings(threads=1, lookahead=AHEAD)
@@ -30,8 +30,10 @@ def thrown_case(name: str) -> FracturedWorld:
     return fractured_world(shell(1.0, 0.8, 0.35), 5, curved=True)
 
 
-def with_others(case: FracturedWorld, settings: Settings) -> CollisionWorld:
-    world = with_settings(case, settings)
+def with_others(
+    case: FracturedWorld, settings: Settings, kind: type[CollisionWorld] = CollisionWorld
+) -> CollisionWorld:
+    world = with_messages(kind(settings), case)
     world.add_body(CollisionBody(BALL, BALL, primitive=SolidPrimitive(SPHERE, (0.3,)), density=1000.0))
     world.add_body(CollisionBody(BLOCK, BLOCK, primitive=SolidPrimitive(BOX, (0.5, 0.4, 0.3)), density=1000.0))
     world.add_body(CollisionBody(FLOOR, FLOOR, plane=np.array([0.0, 0.0, 1.0, 2.5]), is_static=True))

@@ -10,7 +10,7 @@ from benchmarks.peers.libraries.ours_settings import DEFAULTS, SAME_MESHES, SETT
 from benchmarks.peers.method import EXACT, MESH, Contacts, Method, contacts_of
 from benchmarks.peers.worlds import DENSITY, Frame, World, empty_states
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentStates
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world import CollisionWorld, PaperSettings, Settings
 
 
 class _State(NamedTuple):
@@ -18,13 +18,17 @@ class _State(NamedTuple):
     ids: np.ndarray
 
 
-class Ours(Method):
+class _OfService(Method):
+    def forget(self, state: _State) -> None:
+        state.service.forget()
+
+
+class Ours(_OfService):
     surface = EXACT
 
     def __init__(self, name: str, is_quick: bool = True, **settings) -> None:
         self.name, self.is_quick = name, is_quick
-        # frames are queried several times, each time as if everything had moved
-        self._settings = Settings(threads=1, neighbour_lists=False)._replace(**settings)
+        self._settings = Settings(threads=1, **settings)
 
     def prepare(self, world: World) -> CollisionWorld:
         """The unbroken body, queried once."""
@@ -43,14 +47,14 @@ class Ours(Method):
         return _asked(state, FragmentStates(1, 1, state.ids, frame.body_positions.ravel(), frame.quaternions.ravel()))
 
 
-class OursOnMeshes(Method):
+class OursOnMeshes(_OfService):
     """The fragments as rigid bodies of the closed meshes that the other libraries get."""
 
     name = SAME_MESHES
     surface = MESH
 
     def update(self, world: World, before: None) -> _State:
-        service = CollisionWorld(Settings(threads=1, neighbour_lists=False))
+        service = CollisionWorld(Settings(threads=1))
         for k, fragment in enumerate(world.fragments, 1):
             vertices, triangles = fragment.mesh
             body = CollisionBody(k, fragment.fragment_id, vertices=vertices, triangles=triangles, density=DENSITY)
@@ -83,16 +87,14 @@ def methods() -> list[Method]:
     return [
         Ours("ours"),
         OursOnMeshes(),
-        Ours("ours, complete", selection="complete"),
-        Ours("ours, nearest normals", normals="nearest"),
+        Ours("ours, glondu2014", method="glondu2014", paper=PaperSettings(field="exact")),
         # its first fracture builds the grid of the unbroken body: half a minute for the ball
-        Ours("ours, averaged field", is_quick=False, field="averaged"),
+        Ours("ours, glondu2014, averaged field", is_quick=False, method="glondu2014"),
         Ours("ours, 2 contacts", contacts_per_pair=2),
         Ours("ours, 32 contacts", contacts_per_pair=32),
         Ours("ours, epsilon 0", penetration_tolerance=0.0),
         Ours("ours, epsilon 1 % R", penetration_tolerance=0.01),
         Ours("ours, epsilon 5 % R", penetration_tolerance=0.05),
-        Ours("ours, 3000 visits", visit_budget=3000),
     ]
 
 

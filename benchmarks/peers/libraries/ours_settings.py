@@ -9,11 +9,7 @@ EVERY_CONTACT = 100_000  # per pair: more than any pair has samples
 SETTINGS = {
     "contacts_per_pair": (1, 2, 4, 32, EVERY_CONTACT),
     "penetration_tolerance": (0.01, 0.02, 0.05),
-    "visit_budget": (5_000, 10_000, 20_000, 30_000),
-    "selection": ("complete",),  # the paper's rule
-    "normals": ("nearest",),
-    "field": ("averaged",),
-    "tree": ("rebuilt",),
+    "method": ("glondu2014",),
 }
 RESOLUTION = "resolution"  # not a setting of the service but of its input body
 

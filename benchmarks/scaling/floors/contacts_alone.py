@@ -1,4 +1,4 @@
-"""Our time when the contacting samples are known in advance: an answer's samples are queried again, and no others."""
+"""Our time when the contacting samples are known in advance: they are queried again, and no others."""
 
 from __future__ import annotations
 
@@ -15,38 +15,42 @@ from fracture_collision.core.edges.ridges import NO_RIDGES
 from fracture_collision.core.memory.compiled import threaded_kernel
 from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.pair import Sink, Step, make_sink, put_pair
-from fracture_collision.core.memory.pools import OWN_SAMPLE, SAMPLE, SURFACE, Pools
-from fracture_collision.core.pair.narrow_phase import UNLIMITED, PairContacts, Scene, query_pairs
+from fracture_collision.core.memory.pools import Pools
+from fracture_collision.core.pair.narrow_phase import Scene, query_pairs
 from fracture_collision.core.pair.pair_search import Geometry
+from fracture_collision.core.patches.interlocked import SurfaceTable
+from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld
-from fracture_collision.world.settings import most_listed
 
 ROUNDS = 9
 
 
 def contacts_alone(service: CollisionWorld, states: FragmentStates, answer: ContactConstraintArray) -> float:
-    """[ms], one thread, median: each sample of `answer` located, its nearest surface found and its normal turned."""
+    """[ms], one thread, median: each sample in contact located, its nearest surface found and its normal turned.
+
+    Of the pairs of `answer`, all as if both were concave: its own patches and crossings of edges are of no sample.
+    """
     here, pools, settings = service.present(states), service.geometry.pools, service.settings
     order = np.argsort(here.ids)
     ends = (order[np.searchsorted(here.ids[order], end)] for end in (answer.fragment_a, answer.fragment_b))
     pairs = np.column_stack(tuple(ends)).astype(np.int64)
-    nodes = 2 * max(service.geometry.tree_entries(row) for row in here.rows.tolist()) + 2
-    scratch = make_scratch(len(pools.mesh.tetrahedra), nodes)
+    samples = pools.fragment.sample_end - pools.fragment.sample_begin
+    scratch = make_scratch(len(pools.mesh.tetrahedra), 2 * int(samples[here.rows].max()) + 2)
     step = Step(here.rows, here.rotations, here.positions, pairs)
     rule = Rule(
-        settings.contacts_per_pair, most_listed(settings), settings.penetration_tolerance,
-        settings.detection_tolerance, UNLIMITED,
+        settings.contacts_per_pair, 2 * settings.contacts_per_pair, settings.penetration_tolerance,
+        settings.detection_tolerance,
     )  # fmt: skip
-    found, _ = query_pairs(Scene(Geometry(pools, NO_RIDGES), step), rule, (scratch,), Crew(1))
+    found, _ = query_pairs(Scene(Geometry(pools, NO_RIDGES), step, SurfaceTable()), rule, (scratch,), Crew(1))
     begin = np.concatenate(([0], np.cumsum(found.counts)))
     listed = _entries(pools, here.rows, pairs, found)
     sink = make_sink(int(begin[-1]))
 
     def ask() -> None:
         asked = _ask(pools, step, begin, listed, settings.detection_tolerance, sink, scratch)
-        assert asked == begin[-1] == len(answer.gaps)
+        assert asked == begin[-1]
 
     ask()
     return 1e3 * median(_seconds(ask) for _ in range(ROUNDS))
@@ -59,17 +63,16 @@ def _seconds(once: Callable[[], None]) -> float:
 
 
 def _entries(pools: Pools, rows: np.ndarray, pairs: np.ndarray, found: PairContacts) -> np.ndarray:
-    """(n,) int32 in neighbour-list format: 2 (row of TreePool that holds the sample) + side."""
+    """(n,) int32 in neighbour-list format: 2 (row of SamplePool) + side."""
     of_pair = np.repeat(pairs, found.counts, axis=0)
     own = rows[np.where(found.samples[:, 0] == 0, of_pair[:, 0], of_pair[:, 1])]
     listed = np.empty(len(own), np.int32)
     for row in np.unique(own):
-        begin, end = pools.fragment.tree_begin[row], pools.fragment.tree_end[row]
-        entries = pools.tree.entries[begin:end]
-        on_sample = np.flatnonzero(entries[:, SURFACE] == OWN_SAMPLE)
-        order = on_sample[np.argsort(entries[on_sample, SAMPLE], kind="stable")]
+        begin, end = pools.fragment.sample_begin[row], pools.fragment.sample_end[row]
+        numbers = pools.samples.numbers[begin:end]
+        order = np.argsort(numbers, kind="stable")
         its = np.flatnonzero(own == row)
-        listed[its] = 2 * (begin + order[np.searchsorted(entries[order, SAMPLE], found.samples[its, 1])])
+        listed[its] = 2 * (begin + order[np.searchsorted(numbers[order], found.samples[its, 1])])
     return listed + found.samples[:, 0].astype(np.int32)
 
 

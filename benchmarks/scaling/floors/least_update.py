@@ -14,17 +14,18 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks.peers.worlds import World, empty_states
-from benchmarks.scaling.growth import SEARCHED
+from benchmarks.scaling.growth import ONE_THREAD
 from fracture_collision.core.bodies import collision_geometry
 from fracture_collision.core.memory.compiled import threaded_kernel
+from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.mesh.moments import add_row, tetrahedron_terms
 from fracture_collision.world import CollisionWorld
 
 COLD = 64 << 20  # [bytes] traversed between two passes, more than a core's caches hold
 TRIALS = 9
-# Polygons and masses of the cut tetrahedra, corners of their hulls, and the fragments' trees with their leaves: the
+# Polygons and masses of the cut tetrahedra, corners of their hulls, and the fragments' samples with their leaves: the
 # input of a query.
-OUTPUTS = ((collision_geometry, "rebuild_surfaces"), (collision_geometry, "split_trees"))
+OUTPUTS = ((collision_geometry, "rebuild_surfaces"), (collision_geometry, "deal_samples"))
 
 
 def least_update(world: World) -> tuple[float, str]:
@@ -32,12 +33,11 @@ def least_update(world: World) -> tuple[float, str]:
 
     Hashes the event's bytes; finds its cut edges among the mesh's and counts the pieces of its labels (needed to reject
     an event); evaluates its planes at the ends of their edges; reads each tetrahedron of what breaks once and adds its
-    moments to a mass (a cut one: to two, from the moments of one corner); computes one distance per node of the new
-    trees (a radius bounds everything below it), and the planes of triangles that lie in no given plane; writes all
-    resulting rows. Left out: all other checks, ownership in cut tetrahedra, corners of triangles, cells, a node's way
-    into its tree.
+    moments to a mass (a cut one: to two, from the moments of one corner); computes the boxes of the new leaves, and the
+    planes of triangles that lie in no given plane; writes all resulting rows. Left out: all other checks, ownership in
+    cut tetrahedra, corners of triangles, cells, ridges, a sample's way into its leaf.
     """
-    service = CollisionWorld(SEARCHED)
+    service = CollisionWorld(ONE_THREAD)
     service.add_body(world.body)
     service.contacts(empty_states(0))
     event = world.event
@@ -51,7 +51,7 @@ def least_update(world: World) -> tuple[float, str]:
     shares = np.full(len(mesh.edges), -1.0)
     table = _edge_table(mesh.edges, len(mesh.nodes))
     cut, crossings = np.empty(len(ends), np.int64), np.empty(len(ends))
-    spheres, roots = left["tree.spheres"], np.empty(len(mesh.nodes), np.int32)
+    samples, roots = left["samples.points"], np.empty(len(mesh.nodes), np.int32)
     parts = np.zeros(len(mesh.nodes), np.int64)
     parts[event.nodes] = event.node_fragments
     sums = np.zeros((len(event.new_fragment_ids), mesh.moments.shape[1]))
@@ -75,7 +75,7 @@ def least_update(world: World) -> tuple[float, str]:
         lambda: (find(), _pieces(mesh.edges, parts, roots)),
         put,
         lambda: _sums(mesh.tetrahedra, mesh.tetrahedron_edges, mesh.moments, places, shares, parts, sums),
-        lambda: _radii(spheres),
+        lambda: _boxes(samples),
         lambda: _planes(points, corners, bent, faces),
         lambda: [array.copy() for array in left.values()],
     )
@@ -87,7 +87,7 @@ def least_update(world: World) -> tuple[float, str]:
     words = (
         f"{1e-6 * sum(a.nbytes for a in arrays):.2f} MB hashed in {times[0]:.2f}, edges and pieces checked in"
         f" {times[1]:.2f}, {len(ends)} planes put in {times[2]:.2f}, {len(mesh.tetrahedra)} tetrahedra,"
-        f" {len(mesh.tetrahedra) - whole} of them cut, weighed in {times[3]:.2f}, radii of {len(spheres)} tree nodes in"
+        f" {len(mesh.tetrahedra) - whole} of them cut, weighed in {times[3]:.2f}, boxes of {len(samples)} samples in"
         f" {times[4]:.2f}, {len(corners)} triangles, {np.count_nonzero(bent)} of them in planes of their own, in"
         f" {times[5]:.2f}, {megabytes:.1f} MB written in {times[6]:.2f}"
     )
@@ -101,7 +101,7 @@ def update_alone(world: World) -> float:
     """
     sums = []
     for _ in range(TRIALS + 1):
-        service = CollisionWorld(SEARCHED)
+        service = CollisionWorld(ONE_THREAD)
         service.add_body(world.body)
         service.contacts(empty_states(0))
         service.add_fracture(world.event)
@@ -195,14 +195,16 @@ def _pieces(edges, parts, roots):
 
 
 @threaded_kernel
-def _radii(spheres):
-    """Maximum of one distance per tree node."""
-    largest = 0.0
-    for i in range(1, len(spheres)):
-        p, q = spheres[i], spheres[i // 2]
-        dx, dy, dz = p[0] - q[0], p[1] - q[1], p[2] - q[2]
-        largest = max(largest, math.sqrt(dx * dx + dy * dy + dz * dz))
-    return largest
+def _boxes(samples):
+    """Sum of the sides of the boxes of as many samples each as a leaf has."""
+    total = 0.0
+    for first in range(0, len(samples), LEAF):
+        for d in range(3):
+            low = high = samples[first, d]
+            for i in range(first, min(first + LEAF, len(samples))):
+                low, high = min(low, samples[i, d]), max(high, samples[i, d])
+            total += high - low
+    return total
 
 
 @threaded_kernel

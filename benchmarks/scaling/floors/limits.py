@@ -20,7 +20,7 @@ from benchmarks.peers.report import FIELD, MUJOCO, OURS, RAPIER, VERTICES
 from benchmarks.peers.worlds import Frame, World, make_world
 from benchmarks.scaling.floors.contacts_alone import contacts_alone
 from benchmarks.scaling.floors.least_update import least_update, update_alone
-from benchmarks.scaling.growth import SEARCHED, Progress, silent
+from benchmarks.scaling.growth import ONE_THREAD, Progress, silent
 from benchmarks.scaling.machine import Machine, measure_machine
 from benchmarks.scaling.visits import LISTED, LOCATED, TETRAHEDRON, floor_of
 from fracture_collision.records import ContactConstraintArray, FragmentStates
@@ -120,8 +120,8 @@ def _least_query(world: World, tolerance: float) -> tuple[float, float, str]:
     Contacts must be located and listed. In a pair with fewer contacts than allowed, every other sample of the shared
     crack must be located too: in place it touches, so only its current position shows that it no longer does.
     """
-    settings = SEARCHED._replace(penetration_tolerance=tolerance) if tolerance else SEARCHED
-    everything = SEARCHED._replace(contacts_per_pair=EVERY_CONTACT)
+    settings = ONE_THREAD._replace(penetration_tolerance=tolerance) if tolerance else ONE_THREAD
+    everything = ONE_THREAD._replace(contacts_per_pair=EVERY_CONTACT)
     service, in_place = (_broken(world, chosen) for chosen in (settings, everything))
     shared = _contacts_of_pairs(in_place.contacts(_states(next(f for f in world.frames if f.kind == "touch"), world)))
     contacts, located, alone = [], [], []

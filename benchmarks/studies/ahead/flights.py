@@ -48,7 +48,6 @@ THROWN_ID, TARGET_ID, HEAP_PIECES = 5000, 1, 6
 TARGETS = ("plate", "rod", "plane", "box", "sphere", "triangles", "heap")
 BOX_SIZE, SPHERE_RADIUS = (0.1, 0.08, 0.06), 0.05  # [m]
 PLANE_SIZE = 4.0  # [m] of what represents a plane in the other library
-MODES = ("sampled", "edges")
 FROM = 0.6  # [m] at this distance they are surely apart
 LATEST = 1.8  # [steps] of straight motion before contact: a good half of the flights touch
 NEAR, EPSILON = Settings().detection_tolerance, Settings().penetration_tolerance  # of the smaller R
@@ -73,8 +72,8 @@ class Target(NamedTuple):
 class Flight(NamedTuple):
     touches: bool
     is_near: bool  # they come within GRAZES tolerances
-    depth: float  # [R] maximum before the step ends, if they touch and one mode lists nothing; else 0
-    listed: tuple[bool, ...]  # of MODES
+    depth: float  # [R] maximum before the step ends, if they touch and nothing is listed; else 0
+    is_listed: bool
 
 
 def trials(size: Size) -> list[Trial]:
@@ -84,13 +83,13 @@ def trials(size: Size) -> list[Trial]:
 def fly(thrown: str, target: str, speed: float, first: int, end: int) -> list[Flight]:
     """Flights first .. end - 1, which differ in their random numbers."""
     made, aim = THROWN[thrown](), _target(target)
-    worlds = {mode: _world(made, aim, mode) for mode in MODES}
+    world = _world(made, aim)
     key = [list(THROWN).index(thrown), TARGETS.index(target), int(speed)]
-    return [_one(made, aim, worlds, target, speed, np.random.default_rng([*key, k])) for k in range(first, end)]
+    return [_one(made, aim, world, target, speed, np.random.default_rng([*key, k])) for k in range(first, end)]
 
 
 def _one(
-    made: TetGeometry, aim: Target, worlds: Mapping[str, CollisionWorld], target: str, speed: float, random: Any
+    made: TetGeometry, aim: Target, world: CollisionWorld, target: str, speed: float, random: Any
 ) -> Flight:
     from benchmarks.studies.ahead import flight_truth as truth
 
@@ -129,11 +128,11 @@ def _one(
     is_near = np.isfinite(first) or any(
         np.isfinite(flight.first_touch(step, GRAZES * NEAR * smaller)) for flight in flights
     )
-    listed = tuple(_is_listed(world, aim, mover, moving, step, target) for world in worlds.values())
+    is_listed = _is_listed(world, aim, mover, moving, step, target)
     depth = 0.0
-    if np.isfinite(first) and not all(listed):
+    if np.isfinite(first) and not is_listed:
         depth = _deepest(mover, parts, first, step) / smaller
-    return Flight(bool(np.isfinite(first)), bool(is_near), depth, listed)
+    return Flight(bool(np.isfinite(first)), bool(is_near), depth, is_listed)
 
 
 def _is_listed(world: CollisionWorld, aim: Target, mover, moving, step: float, target: str) -> bool:
@@ -179,8 +178,8 @@ def _center(made: TetGeometry) -> np.ndarray:
     return (corners.mean(axis=1) * volumes[:, None]).sum(axis=0) / volumes.sum()
 
 
-def _world(made: TetGeometry, aim: Target, mode: str) -> CollisionWorld:
-    world = CollisionWorld(Settings(threads=1, surfaces=mode))
+def _world(made: TetGeometry, aim: Target) -> CollisionWorld:
+    world = CollisionWorld(Settings(threads=1))
     world.add_body(_tetrahedral(THROWN_ID, made))
     for body in aim.bodies:
         world.add_body(body)
@@ -247,43 +246,37 @@ def tables(size: Size, results: Mapping[Trial, Any]) -> dict[str, list[Row]]:
 
 
 def _row(flights: list[Flight]) -> Row:
-    touching = [flight for flight in flights if flight.touches]
-    row = {"flights": len(flights), "touch": len(touching)}
-    for k, mode in enumerate(MODES):
-        unlisted = [flight for flight in touching if not flight.listed[k]]
-        row[f"missed_{mode}"] = sum(flight.depth > EPSILON for flight in unlisted)
-        row[f"ghosts_{mode}"] = sum(flight.listed[k] and not flight.is_near for flight in flights)
-        row[f"deepest_{mode}_percent"] = 100.0 * max((flight.depth for flight in unlisted), default=0.0)
-    return row
+    unlisted = [flight for flight in flights if flight.touches and not flight.is_listed]
+    return {
+        "flights": len(flights), "touch": sum(flight.touches for flight in flights),
+        "missed": sum(flight.depth > EPSILON for flight in unlisted),
+        "ghosts": sum(flight.is_listed and not flight.is_near for flight in flights),
+        "deepest_percent": 100.0 * max((flight.depth for flight in unlisted), default=0.0),
+    }  # fmt: skip
 
 
 def draw(tables: Mapping[str, Table]) -> Figure:
     table = tables["speeds"]
-    figure, ((missed, ghosts),) = new_figure(1, 2, height=3.2)
-    for axes, what, words in ((missed, "missed", "of those that touch"), (ghosts, "ghosts", "of all")):
+    figure, ((axes,),) = new_figure(1, 1, width=6.0, height=3.2)
+    for what, colour in (("missed", RED), ("ghosts", BLUE)):
         among = table.column("touch" if what == "missed" else "flights")
-        for mode, colour in zip(MODES, (RED, BLUE), strict=True):
-            share = 100.0 * table.column(f"{what}_{mode}") / np.maximum(among, 1)
-            axes.plot(table.column("speed"), share, "-o", color=colour, markersize=4, linewidth=1.3, label=mode)
-        axes.set_xscale("log")
-        axes.set_ylim(bottom=0.0)
-        finish(axes, f"{what}, {words}", "speed [m/s]", "flights [%]")
+        share = 100.0 * table.column(what) / np.maximum(among, 1)
+        axes.plot(table.column("speed"), share, "-o", color=colour, markersize=4, linewidth=1.3, label=what)
+    axes.set_xscale("log")
+    axes.set_ylim(bottom=0.0)
+    finish(axes, "missed: of those that touch; ghosts: of all", "speed [m/s]", "flights [%]")
     return figure
 
 
 def section(tables: Mapping[str, Table]) -> str:
     body = [
         (
-            f"{row['thrown']} at {row['target']}", str(row["flights"]), str(row["touch"]),
-            *(
-                f"{row[f'missed_{mode}']}, {number(row[f'deepest_{mode}_percent'])} / {row[f'ghosts_{mode}']}"
-                for mode in MODES
-            ),
+            f"{row['thrown']} at {row['target']}", *(str(row[name]) for name in ("flights", "touch", "missed")),
+            number(row["deepest_percent"]), str(row["ghosts"]),
         )
         for row in tables[""].rows
     ]  # fmt: skip
-    names = ("flights", "touch", *(f"{what}_{mode}" for what in ("missed", "ghosts") for mode in MODES))
-    total = {name: int(tables["speeds"].column(name).sum()) for name in names}
+    total = {name: int(tables["speeds"].column(name).sum()) for name in ("flights", "touch", "missed", "ghosts")}
     speeds = ", ".join(f"{speed:g}" for speed in tables["speeds"].values("speed"))
     steps = ", ".join(f"{1e3 * step:g}" for step in STEPS)
     return f"""\
@@ -292,14 +285,12 @@ targets move. Flights start so near that, by ipctk's continuous collision detect
 within the step.
 
 - *Missed:* the bodies touch and get deeper than 0.2 % of the smaller R before the step ends, but no contact is listed:
-  {total["missed_sampled"]} with `surfaces: sampled`, {total["missed_edges"]} with `edges`.
-- *Ghost:* a contact is listed, but the bodies come no nearer than 1.5 detection tolerances:
-  {total["ghosts_sampled"]} and {total["ghosts_edges"]}.
+  {total["missed"]}.
+- *Ghost:* a contact is listed, but the bodies come no nearer than 1.5 detection tolerances: {total["ghosts"]}.
 
-Each cell gives the number missed, the depth in % R of the deepest touch that is not listed, and, after the slash, the
-number of ghosts.
+Unlisted: the depth of the deepest touch that is not listed.
 
-{markdown_table(("", "flights", "touch", "sampled", "edges"), body)}"""
+{markdown_table(("", "flights", "touch", "missed", "unlisted, % R", "ghosts"), body)}"""
 
 
 STUDY = Study(

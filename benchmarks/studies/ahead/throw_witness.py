@@ -41,7 +41,7 @@ class Witness:
     """Queried at each moment for what is near the thrown body; `world` gets its input from the first run."""
 
     def __init__(self, scene: Scene) -> None:
-        self.world = CollisionWorld(Settings(threads=1, surfaces="edges", normals="nearest"))
+        self.world = CollisionWorld(Settings(threads=1))
         self._reach = dict.fromkeys((TARGET_ID, THROWN_ID), np.inf)  # [m] around the body frame's origin
         self._solids: dict[int, Solid | None] = {}
         simulation = Simulation(scene)

@@ -102,7 +102,7 @@ def _one(thrown: str, target: str, speed: float, random: np.random.Generator) ->
     leap = LEAP * thinner
     free = list(_run(scene, target, witness.world, False))
     touches = any(True for _ in witness.gaps(free, leap))
-    settings = Settings(threads=1, lookahead=scene.time_step, surfaces="edges")
+    settings = Settings(threads=1, lookahead=scene.time_step)
     steps = list(_run(scene, target, CollisionWorld(settings), True))
     deepest = max(0.0, -min(witness.gaps(steps, leap), default=0.0))
     deviates = any(_differ(*pair) for pair in zip(free, steps, strict=True))
@@ -253,7 +253,7 @@ def section(tables: Mapping[str, Table]) -> str:
     gain = float(tables["speeds"].column("energy_gain").max())
     return f"""\
 {total["throws"]} throws at {speeds} m/s, in steps of {steps} ms: a quarter flat on, a quarter edge on, the others
-spinning at up to {MOST_SPIN:g} rad/s. They are simulated with `surfaces: edges` and `lookahead` set to the time step.
+spinning at up to {MOST_SPIN:g} rad/s. They are simulated with `lookahead` set to the time step.
 The motion within each step is checked at times between which nothing moves farther than a quarter of the thinner body's
 thickness. A body that will touch moves until it does, then waits for the end of the step. Deep penetrations are
 measured with libigl. {total["touch"]} throws touch.

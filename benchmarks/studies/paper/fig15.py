@@ -15,24 +15,22 @@ from matplotlib.figure import Figure
 
 from benchmarks.studies.pictures import BLUE, GREEN, ORANGE, RED, finish, new_figure
 from benchmarks.studies.replay import MILLI, Answers, replay_trial, summary_of_answers
-from benchmarks.studies.scene_trials import ONE_THREAD, SEARCHED
+from benchmarks.studies.scene_trials import PAPERS
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, average_and_worst, markdown_table, number
 from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.world import PaperSettings
 
 SCENE = "piggy_bank"
-# Contacts as in the paper for all but the last: nearest normals, and of samples only.
-PAPERS = SEARCHED._replace(normals="nearest")
 COMBINATIONS = {
-    "D updated, S updated": PAPERS._replace(field="averaged", tree="restructured"),
-    "D updated, S rebuilt": PAPERS._replace(field="averaged", tree="rebuilt"),
-    "D exact, S updated": PAPERS._replace(field="exact", tree="restructured"),
-    "D exact, S rebuilt": PAPERS._replace(field="exact", tree="rebuilt"),
-    "D exact, S updated, default contacts": SEARCHED._replace(surfaces=ONE_THREAD.surfaces),
+    "D updated, S updated": PAPERS._replace(paper=PaperSettings(field="averaged")),
+    "D updated, S rebuilt": PAPERS._replace(paper=PaperSettings(field="averaged", tree="rebuilt")),
+    "D exact, S updated": PAPERS,
+    "D exact, S rebuilt": PAPERS._replace(paper=PaperSettings(field="exact", tree="rebuilt")),
 }
 # Overlapping lines stay distinguishable by their widths.
-COLOURS = dict(zip(COMBINATIONS, (BLUE, ORANGE, GREEN, RED, "black"), strict=True))
-WIDTHS = dict(zip(COMBINATIONS, (5.0, 5.0, 2.4, 2.4, 0.9), strict=True))
+COLOURS = dict(zip(COMBINATIONS, (BLUE, ORANGE, GREEN, RED), strict=True))
+WIDTHS = dict(zip(COMBINATIONS, (5.0, 5.0, 2.4, 2.4), strict=True))
 WINDOW = 5  # steps averaged in each row of the table of steps
 
 
@@ -115,9 +113,8 @@ def section(tables: Mapping[str, Table]) -> str:
 The piggy bank falls once. Its states and events ({fractures} steps with fractures) are then replayed with different
 settings, so that all runs process the same queries. D is the distance field: updated as in the paper (`averaged`) or
 exact (`exact`, evaluated at each query point: no field is rebuilt). S is the sphere tree: restructured, or rebuilt on
-the new surface. Contacts are the paper's: of samples only, with the nearest normal. The last
-row has those of the default settings: edges that cross too, and facing normals. Averages are of each step's shortest
-time in {repeats} interleaved runs, worst is the longest of all runs. Average / worst:
+the new surface. Contacts are the paper's: of samples only, with the nearest normal. Averages are of each step's
+shortest time in {repeats} interleaved runs, worst is the longest of all runs. Average / worst:
 
 {markdown_table(("field and tree; cracks", "query, ms", "visited nodes per step", "ns per visit", "contacts",
                  "update, ms"), rows)}"""

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.studies.pictures import BLUE, GREEN, ORANGE, PURPLE, RED, finish, new_figure, running_median
 from benchmarks.studies.replay import replay_trial, summary_of_answers
-from benchmarks.studies.scene_trials import SEARCHED, in_words, scene_trial
+from benchmarks.studies.scene_trials import PAPERS, in_words, scene_trial
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, average_and_worst, markdown_table, number
 from fracture_collision.run_report import PAPER, summary_of
@@ -18,11 +18,11 @@ from fracture_collision.run_report import PAPER, summary_of
 SCENE = "drop_bunnies"
 NEW, OLD, FIXED = "new tree, new traversal", "old tree, old traversal", "new, 8 contacts fixed"
 METHODS = {
-    NEW: SEARCHED,
-    "new tree, old traversal": SEARCHED._replace(traversal="queue"),
-    "old tree, new traversal": SEARCHED._replace(tree="plain"),
-    OLD: SEARCHED._replace(tree="plain", traversal="queue"),
-    FIXED: SEARCHED._replace(contacts_per_pair=8, penetration_tolerance=1.0),
+    NEW: PAPERS,
+    "new tree, old traversal": PAPERS._replace(paper=PAPERS.paper._replace(traversal="queue")),
+    "old tree, new traversal": PAPERS._replace(paper=PAPERS.paper._replace(tree="plain")),
+    OLD: PAPERS._replace(paper=PAPERS.paper._replace(tree="plain", traversal="queue")),
+    FIXED: PAPERS._replace(contacts_per_pair=8, penetration_tolerance=1.0),
 }
 COLOURS = dict(zip(METHODS, (BLUE, GREEN, ORANGE, RED, PURPLE), strict=True))
 # Contacts per step, average and worst (7.4).

@@ -160,8 +160,7 @@ def section(tables: Mapping[str, Table]) -> str:
     return f"""\
 A plate rolls on its rim over the ground for {ROLLING:g} s, then begins to wobble and falls ({seconds:.1f} s in all;
 scene `rolling_plate`). Contacts are detected within the detection tolerance. The rim is a polygon of 120 corners, so
-few of them are that near. {verdict if equal else ""}If more samples are within the tolerance than the limit allows, the
-first ones found are listed, whether near or touching. Bumps: rms of the vertical acceleration in the first {ROLLING:g}
+few of them are that near. {verdict if equal else ""}Bumps: rms of the vertical acceleration in the first {ROLLING:g}
 s. Contacts and times are average / worst:
 
 {markdown_table(

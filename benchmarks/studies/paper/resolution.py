@@ -117,8 +117,8 @@ The reference sphere falls and breaks, in {runs} runs with different cracks. Que
 
 On average, queries are faster than the paper's, because neighbour lists answer pairs that hardly move. The worst query
 is the first after the fracture, when all fragments touch in place. The update is slower than the paper's: it finds the
-ridges for edges that cross, which is about half of its time (Fig. 15 has an update with and without them), and makes
-closed surfaces with exact masses and seeds of contacts for each crack; and the event is checked first.
+ridges for edges that cross, which is about half of its time, and makes closed surfaces with exact masses and seeds of
+contacts for each crack; and the event is checked first.
 
 Average / worst:
 

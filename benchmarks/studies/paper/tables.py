@@ -118,7 +118,7 @@ def section(tables: Mapping[str, Table]) -> str:
     return f"""\
 The paper's figures are in brackets where its text gives them; its tables are images. Its times are from one core of a
 Core i7-2600 at 3.4 GHz: a limit to stay below, not a comparison of code. Our times are on one thread too, with the
-paper's selection of contacts and without lookahead, otherwise with the default settings.
+default settings and without lookahead.
 {in_words(rows[0]["repeats"])}
 
 **Table 1:** sizes of the objects

@@ -17,18 +17,15 @@ from fracture_collision.core.memory.pools import (
     LABELS,
     LEAF,
     OLD_FACE,
-    OWN_SAMPLE,
     OWNER,
     PARTED,
     PLANE,
     ROW,
-    SIZE,
-    SURFACE,
     Pools,
 )
 from fracture_collision.core.mesh.occupancy import sphere_may_touch
 from fracture_collision.core.mesh.surface_triangles import surface_triangles
-from fracture_collision.core.tree.sample_leaves import leaves_of
+from fracture_collision.core.samples.sample_leaves import leaves_of
 
 # Rounding tolerance, as a share of lengths, areas and volumes of the body.
 ROUNDING = 1e-9
@@ -81,16 +78,15 @@ def _validate_labels(pools: Pools, rows: Sequence[int], tets: np.ndarray) -> Non
 
 def _validate_leaves(pools: Pools, row: int) -> None:
     fragment, leaves = pools.fragment, leaves_of.py_func(pools, row)
-    tree = slice(fragment.tree_begin[row], fragment.tree_end[row])
-    entries = pools.tree.entries[tree]
-    samples = np.flatnonzero((entries[:, SIZE] == 1) & (entries[:, SURFACE] == OWN_SAMPLE))
+    own = pools.samples.points[fragment.sample_begin[row] : fragment.sample_end[row]]
+    samples = np.arange(len(own))
     is_sample, n = leaves.entries >= 0, len(leaves.entries) // LEAF
     assert np.array_equal(np.sort(leaves.entries[is_sample]), samples), "the leaves do not hold every sample once"
     assert n == -(-len(samples) // LEAF), "there are more leaves than samples fill"
     values = leaves.values.astype(np.float64)
     low, high = values[: 3 * n].reshape(3, n).T, values[3 * n : 6 * n].reshape(3, n).T
     points = values[6 * n :].reshape(3, -1).T
-    exact = pools.tree.spheres[tree][leaves.entries, :3] - leaves.middle[:3]
+    exact = own[leaves.entries] - leaves.middle[:3]
     assert (np.abs(points - exact)[is_sample] <= 0.1 * leaves.middle[3]).all(), "a leaf has a sample elsewhere"
     inside = points.reshape(n, LEAF, 3)
     assert ((low[:, None] <= inside) & (inside <= high[:, None])).all(), "a leaf's box does not hold its samples"
@@ -172,7 +168,7 @@ def _validate_surface(geometry: CollisionGeometry, row: int, radius: float) -> f
     inside = (points >= box[:3] - ROUNDING * radius) & (points <= box[3:] + ROUNDING * radius)
     assert inside.all(), f"fragment {row}: surface outside its box"
     fragment, directions = pools.fragment, np.random.default_rng(0).normal(size=(64, 3))
-    samples = pools.tree.spheres[fragment.tree_begin[row] : fragment.tree_end[row], :3]
+    samples = pools.samples.points[fragment.sample_begin[row] : fragment.sample_end[row]]
     reach, spanned = (points @ directions.T).max(axis=0), (samples @ directions.T).max(axis=0)
     assert (reach <= spanned + ROUNDING * radius).all(), f"fragment {row}: surface outside the hull of what spans it"
     for x, y, z in points.tolist():

@@ -6,13 +6,11 @@ from collections import Counter
 
 import numpy as np
 
-from fracture_collision.core.bodies.fragment_trees import REBUILT, RESTRUCTURED, append_rebuilt_trees, split_trees
-from fracture_collision.core.bodies.interior_field import InteriorField, make_interior_field
 from fracture_collision.core.bodies.pool_compaction import compact
 from fracture_collision.core.bodies.pool_rows import (
     MeshRows,
+    SampleRows,
     SurfaceMeshRows,
-    TreeRows,
     bytes_of_broken,
     bytes_of_fragments,
     bytes_of_mesh,
@@ -20,24 +18,14 @@ from fracture_collision.core.bodies.pool_rows import (
 from fracture_collision.core.bodies.pool_tables import PoolTables
 from fracture_collision.core.bodies.prepared import MassProperties, PreparedMesh, PreparedSurface, mass_of_shape
 from fracture_collision.core.edges.ridges import NO_RIDGES, Ridges, RidgeTable
-from fracture_collision.core.field.front_propagation import update_averaged_field
 from fracture_collision.core.fracture import touched_tetrahedra
 from fracture_collision.core.fracture.crack_seeds import choose_seeds
 from fracture_collision.core.fracture.crack_surfaces import rebuild_surfaces
 from fracture_collision.core.fracture.surface_rows import Broken, Sums, SurfaceRows
 from fracture_collision.core.fracture.touched_tetrahedra import Cut, Touched, touched_room
+from fracture_collision.core.glondu2014.paper_geometry import PaperGeometry
 from fracture_collision.core.memory.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
-from fracture_collision.core.memory.pools import (
-    ALTERNATING,
-    AVERAGED,
-    EXACT,
-    FACING,
-    NEVER_BROKEN,
-    OWNER,
-    REGION,
-    GrowableArray,
-    Pools,
-)
+from fracture_collision.core.memory.pools import NEVER_BROKEN, OWNER, REGION, GrowableArray, Pools
 from fracture_collision.core.mesh.cut_tetrahedron import make_cut_scratch
 from fracture_collision.core.mesh.moments import mass_properties
 from fracture_collision.core.mesh.occupancy import cells_of_boxes, mark_all, mark_fragments
@@ -45,30 +33,28 @@ from fracture_collision.core.mesh.primitives import box_edge_points, box_samplin
 from fracture_collision.core.mesh.sample_numbers import NewSamples
 from fracture_collision.core.mesh.triangle_field import append_triangle_mesh
 from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes, ShapeTable, triangles_of
-from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree
+from fracture_collision.core.samples.fragment_samples import deal_samples, new_samples
+from fracture_collision.core.samples.sample_leaves import leaf_count, most_leaves
 
 # [bytes] Less garbage is not worth a compaction.
 LEAST_GARBAGE = 1 << 20
-NO_TREE = TreeRows(0, 0, 0, 0, np.zeros(4))
+NO_SAMPLES = SampleRows(0, 0, 0, 0, np.zeros(4))
 
 
 class CollisionGeometry:
     """Owns the pools. Fragments are addressed by row, in order of creation.
 
-    tree: one of fragment_trees.TREES; traversal: one of pools.ALTERNATING, QUEUE; field: one of pools.EXACT, AVERAGED;
-    normals: one of pools.NEAREST, FACING; has_ridges: whether to compute ridges.
+    paper: where the method of Glondu 2014 keeps what it needs; None: the geometry is for our method, with ridges and
+    shapes instead.
     """
 
-    def __init__(
-        self, tree: str = RESTRUCTURED, traversal: int = ALTERNATING, field: int = EXACT, normals: int = FACING,
-        has_ridges: bool = False,
-    ) -> None:  # fmt: skip
-        self._tree_kind, self._field = tree, field
-        self._tables = PoolTables(traversal, field, normals)
+    def __init__(self, paper: PaperGeometry | None = None) -> None:
+        self.paper = paper
+        self._tables = PoolTables()
         self._moments = GrowableArray(10, np.float64)
         self._gaps = GrowableArray(0, np.float64)
-        self._ridges = RidgeTable() if has_ridges else None
-        self._shapes = ShapeTable() if has_ridges else None
+        self._ridges = RidgeTable() if paper is None else None
+        self._shapes = ShapeTable() if paper is None else None
         self._scratch, self._room = make_cut_scratch(), touched_room(0)
         self._meshes: list[tuple[PreparedMesh, MeshRows]] = []  # by row in the pools
         self._surfaces: list[tuple[PreparedSurface, SurfaceMeshRows]] = []
@@ -82,12 +68,12 @@ class CollisionGeometry:
 
     @property
     def ridges(self) -> Ridges:
-        """Ridges of all fragments; empty without has_ridges."""
+        """Ridges of all fragments; empty for the method of the paper."""
         return NO_RIDGES if self._ridges is None else self._ridges.view
 
     @property
     def shapes(self) -> Shapes:
-        """Hulls and surfaces of all fragments; empty without has_ridges."""
+        """Hulls and surfaces of all fragments; empty for the method of the paper."""
         return NO_SHAPES if self._shapes is None else self._shapes.view
 
     def sampling_gaps(self, rows: np.ndarray) -> np.ndarray:
@@ -103,14 +89,6 @@ class CollisionGeometry:
         """Corners (t, 3, 3) [m] of a rigid body of triangles."""
         begin, end = self._tables.triangles["triangle_range"].view[self._tables.fragment["mesh"].view[row]]
         return self._tables.triangles["corners"].view[begin:end].reshape(-1, 3, 3)
-
-    def sphere_tree(self, row: int) -> SphereTree:
-        """A copy of the fragment's tree."""
-        return self._tables.sphere_tree(row)
-
-    def tree_entries(self, row: int) -> int:
-        """Number of entries of the fragment's tree."""
-        return int(self._tables.fragment["tree_end"].view[row] - self._tables.fragment["tree_begin"].view[row])
 
     def volume(self, row: int) -> float:
         """Volume [m3] of a body of tetrahedra or triangles, or of a fragment."""
@@ -153,15 +131,17 @@ class CollisionGeometry:
         self._meshes = [(self._meshes[old][0], new) for old, new in meshes]
         self._surfaces = [(self._surfaces[old][0], new) for old, new in surfaces]
         if self._ridges is not None and self._shapes is not None:
-            self._ridges.keep(moved.stays)
-            self._shapes.keep(moved.stays)
+            self._ridges.keep(moved.fragments.stays)
+            self._shapes.keep(moved.fragments.stays)
+        if self.paper is not None:
+            self.paper.keep(*moved)
         self._garbage = 0
-        return moved.position[rows]
+        return moved.fragments.position[rows]
 
     def add_plane(self, normal: np.ndarray, offset: float) -> int:
         """Add a half-space normal . x <= offset [m], `normal` (3,) unit, outward; returns its row."""
         box = np.array([-np.inf] * 3 + [np.inf] * 3)
-        return self._add_row(PLANE, box, np.append(normal, offset), np.inf, NO_TREE, 0.0)
+        return self._add_row(PLANE, box, np.append(normal, offset), np.inf, NO_SAMPLES, 0.0)
 
     def add_sphere(self, radius: float) -> int:
         """Add a sphere of `radius` [m] about its frame's origin; returns its row.
@@ -169,15 +149,18 @@ class CollisionGeometry:
         Its surface is searched as a whole (sphere_contacts.py), so its sampling gap is zero.
         """
         box = np.array([-radius] * 3 + [radius] * 3)
-        return self._add_row(SPHERE, box, np.array([radius, 0.0, 0.0, 0.0]), radius, NO_TREE, 0.0)
+        return self._add_row(SPHERE, box, np.array([radius, 0.0, 0.0, 0.0]), radius, NO_SAMPLES, 0.0)
 
     def add_box(self, half: np.ndarray) -> int:
         """Add a box of half edges `half` (3,) [m] about its frame's origin; returns its row."""
         points = box_edge_points(half)
-        own = self._append_tree(build_sphere_tree(points, np.ones(len(points), np.uint8)))
-        return self._add_row(
+        own = self._append_samples(points, np.arange(len(points)))
+        row = self._add_row(
             BOX, np.concatenate([-half, half]), np.append(half, 0.0), float(half.max()), own, box_sampling_gap(half)
         )
+        if self.paper is not None:
+            self.paper.add_body(points, np.ones(len(points), np.uint8), [])
+        return row
 
     def add_tetrahedra(self, prepared: PreparedMesh) -> int:
         """Add a whole body of tetrahedra; equal `prepared` objects share their pool rows. Returns its row."""
@@ -185,9 +168,11 @@ class CollisionGeometry:
         self._bodies_of[id(prepared)] += 1
         mesh = prepared.mesh
         row = self._add_row(
-            TETRAHEDRA, mesh.box, np.zeros(4), 0.5 * float((mesh.box[3:] - mesh.box[:3]).max()), rows.tree,
+            TETRAHEDRA, mesh.box, np.zeros(4), 0.5 * float((mesh.box[3:] - mesh.box[:3]).max()), rows.samples,
             mesh.sampling_gap, rows.number, rows.cells,
         )  # fmt: skip
+        if self.paper is not None:
+            self.paper.add_body(mesh.nodes, mesh.on_surface, prepared.paper)
         # summed one by one, as in a fracture, so that parts add up to the whole
         self._moments.view[row] = mesh.moments.sum(axis=0)
         return row
@@ -198,15 +183,18 @@ class CollisionGeometry:
         if rows is None:
             tables = self._tables
             rows = SurfaceMeshRows(
-                append_triangle_mesh(tables.triangles, prepared.mesh), self._append_tree(prepared.tree)
+                append_triangle_mesh(tables.triangles, prepared.mesh),
+                self._append_samples(prepared.vertices, np.arange(len(prepared.vertices))),
             )
             self._surfaces.append((prepared, rows))
         self._bodies_of[id(prepared)] += 1
         box = prepared.mesh.node_box[0]
         row = self._add_row(
-            TRIANGLES, box, np.zeros(4), 0.5 * float((box[3:] - box[:3]).max()), rows.tree, prepared.sampling_gap,
+            TRIANGLES, box, np.zeros(4), 0.5 * float((box[3:] - box[:3]).max()), rows.samples, prepared.sampling_gap,
             rows.number,
         )  # fmt: skip
+        if self.paper is not None:
+            self.paper.add_body(prepared.vertices, np.ones(len(prepared.vertices), np.uint8), prepared.paper)
         self._moments.view[row] = prepared.moments
         return row
 
@@ -235,17 +223,11 @@ class CollisionGeometry:
         if was_broken:
             self._garbage += bytes_of_broken(tables, row, touched.rows)
         corners = self._rebuild_surfaces(broken, touched)
-        if self._tree_kind == REBUILT:
-            append_rebuilt_trees(tables, broken, prepared.mesh, rows.edge, cut, corners)
-        else:
-            split_trees(tables, broken, edges, corners, self._tree_kind == RESTRUCTURED)
+        new = new_samples((tables.roomy.mesh, tables.roomy.body), broken, edges, corners)
+        self._deal_samples(broken, new)
         self._choose_seeds(broken, rows, touched)
-        if self._field == AVERAGED:
-            interior = prepared.interior[0]
-            neighbours = interior.neighbours_begin, interior.neighbours
-            update_averaged_field(
-                self.pools, prepared.mesh.nodes, neighbours, broken, touched.rows, cut.first_plane
-            )
+        if self.paper is not None:
+            self.paper.break_fragment(self.pools, broken, new, (touched.rows, cut.first_plane), prepared.paper[0])
         self._find_ridges(broken.first, broken.end)
         return broken.first
 
@@ -296,9 +278,8 @@ class CollisionGeometry:
         if self._tables.fragment["node_shift"].view[row] != NEVER_BROKEN:
             return
         mesh = prepared.mesh
-        if self._field == AVERAGED:
-            interior = self._interior_field(prepared, rows)
-            self._tables.body["node_field"].append(interior.node_field)
+        if self.paper is not None:
+            self.paper.begin_body(mesh, rows.number, prepared.paper[0])
         node = self._tables.body["node_fragment"].fill(len(mesh.nodes), row)
         edge = self._tables.body["edge_plane"].fill(len(mesh.edges), -1)
         self._tables.body["edge_event"].fill(len(mesh.edges), 0)
@@ -311,27 +292,36 @@ class CollisionGeometry:
         self._tables.fragment["tet_shift"].view[row] = tet - rows.tet
         self._tables.fragment["edge_shift"].view[row] = edge - rows.edge
 
-    def _interior_field(self, prepared: PreparedMesh, rows: MeshRows) -> InteriorField:
-        """The averaged field of the whole body; the first body of the mesh appends its grid to the pools."""
-        if not prepared.interior:
-            prepared.interior.append(make_interior_field(prepared.mesh))
-        interior = prepared.interior[0]
-        if self._tables.mesh["depth_grid_dims"].view[rows.number, 0] == 0:
-            self._tables.mesh["depth_grid"].view[rows.number] = np.append(interior.origin, interior.cell)
-            first = self._tables.mesh["grid_depth"].append(interior.depth)
-            self._tables.mesh["depth_grid_dims"].view[rows.number] = np.append(interior.dims, first)
-        return interior
+    def _append_samples(self, points: np.ndarray, numbers: np.ndarray) -> SampleRows:
+        begin, leaf, middle = self._tables.append_samples(points, numbers)
+        return SampleRows(begin, begin + len(points), leaf, leaf + leaf_count(len(points)), middle)
 
-    def _append_tree(self, tree: SphereTree) -> TreeRows:
-        begin = self._tables.append_tree(tree)
-        leaves, middles = self._tables.append_leaves(np.array([begin, begin + len(tree.size)]))
-        return TreeRows(begin, begin + len(tree.size), int(leaves[0]), int(leaves[1]), middles[0])
+    def _deal_samples(self, broken: Broken, new: NewSamples) -> None:
+        """Append the samples of the new fragments."""
+        tables, fragment = self._tables, self._tables.fragment
+        begin, end, leaf, leaf_end = (
+            int(fragment[name].view[broken.parent])
+            for name in ("sample_begin", "sample_end", "leaf_begin", "leaf_end")
+        )
+        most = end - begin + len(new.points), most_leaves(leaf_end - leaf, len(new.points), broken.end - broken.first)
+        # reserving may reallocate a column
+        room = [column.reserve(most[0]) for column in tables.samples.values()]
+        room += [column.reserve(most[1]) for column in tables.leaves.values()]
+        first = tables.samples["points"].used, tables.leaves["values"].used
+        old = tables.samples["points"].view[begin:end], tables.samples["numbers"].view[begin:end]
+        pools = tables.roomy
+        count, leaves = deal_samples((pools.mesh, pools.body, pools.fragment), old, broken, new, (*room, *first))
+        for column in tables.samples.values():
+            column.advance(count)
+        for column in tables.leaves.values():
+            column.advance(leaves)
 
-    def _add_row(self, kind, box, shape, radius, tree, gap, mesh=-1, cells=None) -> int:
+    def _add_row(self, kind, box, shape, radius, samples, gap, mesh=-1, cells=None) -> int:
         values = dict(
             kind=kind, mesh=mesh, node_shift=NEVER_BROKEN, tet_shift=NEVER_BROKEN, edge_shift=NEVER_BROKEN, box=box,
-            shape=shape, radius=radius, tree_begin=tree.begin, tree_end=tree.end, leaf_begin=tree.leaf_begin,
-            leaf_end=tree.leaf_end, middle=tree.middle, seeds=np.zeros(2, np.int32),
+            shape=shape, radius=radius, sample_begin=samples.begin, sample_end=samples.end,
+            leaf_begin=samples.leaf_begin, leaf_end=samples.leaf_end, middle=samples.middle,
+            seeds=np.zeros(2, np.int32),
             cells=np.zeros(7, np.int32) if cells is None else cells,
         )  # fmt: skip
         for name, value in values.items():
@@ -339,6 +329,8 @@ class CollisionGeometry:
         self._moments.append(np.zeros((1, 10)))
         row = self._gaps.append(np.array([gap]))
         self._find_ridges(row, row + 1)
+        if self.paper is not None and samples is NO_SAMPLES:
+            self.paper.add_without_tree()
         return row
 
     def _find_ridges(self, first: int, end: int) -> None:
@@ -359,6 +351,8 @@ class CollisionGeometry:
         tables.occupancy.fill(words, 0)
         mark_all(self.pools.mesh, index, cells[0], tables.occupancy.view)
         counts = len(mesh.nodes), len(mesh.tetrahedra), len(mesh.edges)
-        rows = MeshRows(index, node, tet, edge, self._append_tree(prepared.tree), cells[0], counts)
+        on_surface = np.flatnonzero(mesh.on_surface)
+        own = self._append_samples(mesh.nodes[on_surface], on_surface)
+        rows = MeshRows(index, node, tet, edge, own, cells[0], counts)
         self._meshes.append((prepared, rows))
         return rows

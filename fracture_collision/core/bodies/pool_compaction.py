@@ -15,11 +15,12 @@ from fracture_collision.core.bodies.pool_rows import (
     OF_BODY_TETRAHEDRA,
     OF_POLYGONS,
     MeshRows,
+    SampleRows,
     SurfaceMeshRows,
-    TreeRows,
 )
 from fracture_collision.core.bodies.pool_tables import PoolTables
 from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES
+from fracture_collision.core.memory.moves import Moves, moves_of, moves_of_ranges
 from fracture_collision.core.memory.pools import (
     BACK,
     BACK_SIDE,
@@ -35,52 +36,31 @@ from fracture_collision.core.memory.pools import (
 )
 from fracture_collision.core.mesh.occupancy import pyramid_words
 from fracture_collision.core.mesh.sample_numbers import EDGES, FIRST_EDGE, FIRST_NODE, FIRST_TETRAHEDRON, NODES
-from fracture_collision.grouping import begins_of
 
 _ON_NODES = ("nodes", "on_surface", "node_normals")
 _ON_TETRAHEDRA = ("tetrahedra", "neighbours", "tetrahedron_edges", "boxes", "barycentric", "walls", "moments")
 _ON_EDGES = ("edges", "edge_tets")
 _ON_CELLS = ("cell_tets", "cell_parts")
-_ON_MESHES = ("first", "grid", "grid_dims", "depth_grid", "depth_grid_dims")
+_ON_MESHES = ("first", "grid", "grid_dims")
 
 
-class Moves(NamedTuple):
-    """The rows of a column that stay, and their new positions."""
+class Compacted(NamedTuple):
+    """Moves of rows that others than the pools refer to."""
 
-    stays: np.ndarray  # (n,) bool
-    position: np.ndarray  # (n + 1,) int64; includes the end row
-
-    def of(self, rows: np.ndarray | int) -> np.ndarray:
-        """New positions of `rows`; negative values are not rows and stay unchanged."""
-        return np.where(rows < 0, rows, self.position[np.maximum(rows, 0)])
-
-    def keep(self, columns: dict[str, GrowableArray], *names: str) -> None:
-        """Drop the rows that do not stay from the named columns."""
-        for name in names:
-            columns[name].keep(self.stays)
-
-
-def moves_of_ranges(count: int, begins: np.ndarray, ends: np.ndarray) -> Moves:
-    """Of `count` rows, those within any of the ranges stay."""
-    depth = np.zeros(count + 1, np.int64)
-    np.add.at(depth, begins, 1)
-    np.add.at(depth, ends, -1)
-    return _moves(np.cumsum(depth[:-1]) > 0)
-
-
-def _moves(stays: np.ndarray) -> Moves:
-    return Moves(stays, begins_of(stays))
+    fragments: Moves
+    nodes: Moves  # of BodyPool
+    meshes: Moves
 
 
 def compact(
     tables: PoolTables, more: tuple[GrowableArray, ...], rows: np.ndarray, meshes: list[MeshRows],
     surfaces: list[SurfaceMeshRows],
-) -> tuple[Moves, list[tuple[int, MeshRows]], list[tuple[int, SurfaceMeshRows]]]:  # fmt: skip
+) -> tuple[Compacted, list[tuple[int, MeshRows]], list[tuple[int, SurfaceMeshRows]]]:  # fmt: skip
     """Keep fragments `rows` (n,), ascending, and what they refer to.
 
     more: columns beside those of tables.fragment, one row per fragment. Of `meshes` and `surfaces` (all in the pools)
-    those used by one of `rows` stay. Returns the moves of the fragments' rows, and the remaining meshes and surfaces,
-    each with its old index.
+    those used by one of `rows` stay. Returns a Compacted, and the remaining meshes and surfaces, each with its old
+    index.
     """
     fragment = tables.fragment
     kind, mesh = fragment["kind"].view[rows], fragment["mesh"].view[rows]
@@ -89,11 +69,11 @@ def compact(
     surfaces = [each for each in surfaces if each.number in used_surfaces]
     stays = np.zeros(fragment["kind"].used, bool)
     stays[rows] = True
-    moved = _moves(stays)
+    moved = moves_of(stays)
     bodies = _one_row_of_each_broken_body(tables, rows)
 
-    shared = [mesh.tree for mesh in meshes] + [surface.tree for surface in surfaces]
-    trees, leaves = _tree_moves(tables, rows, shared)
+    shared = [mesh.samples for mesh in meshes] + [surface.samples for surface in surfaces]
+    samples, leaves = _sample_moves(tables, rows, shared)
     words = _word_moves(tables, rows, meshes)
     mesh_moves = _compact_meshes(tables, meshes)
     # the seeds' edges are rows of the mesh pool
@@ -104,12 +84,13 @@ def compact(
         each._replace(
             number=int(mesh_moves.meshes.of(each.number)), node=int(mesh_moves.nodes.of(each.node)),
             tet=int(mesh_moves.tetrahedra.of(each.tet)), edge=int(mesh_moves.edges.of(each.edge)),
-            tree=_moved_tree(each.tree, trees, leaves), cells=_moved_cells(each.cells[None], words)[0],
+            samples=_moved_samples(each.samples, samples, leaves), cells=_moved_cells(each.cells[None], words)[0],
         )  # fmt: skip
         for each in meshes
     ]
     new_surfaces = [
-        SurfaceMeshRows(int(triangles.of(each.number)), _moved_tree(each.tree, trees, leaves)) for each in surfaces
+        SurfaceMeshRows(int(triangles.of(each.number)), _moved_samples(each.samples, samples, leaves))
+        for each in surfaces
     ]
 
     old_first = {each.number: (each.node, each.tet, each.edge) for each in meshes}
@@ -126,15 +107,17 @@ def compact(
         fragment[name].view[is_broken] = body[at].of(shift + old) - new
     fragment["mesh"].view[kind == TETRAHEDRA] = mesh_moves.meshes.of(mesh[kind == TETRAHEDRA])
     fragment["mesh"].view[kind == TRIANGLES] = triangles.of(mesh[kind == TRIANGLES])
-    for name, of in (("tree_begin", trees), ("tree_end", trees), ("leaf_begin", leaves), ("leaf_end", leaves)):
+    for name, of in (
+        ("sample_begin", samples), ("sample_end", samples), ("leaf_begin", leaves), ("leaf_end", leaves)
+    ):  # fmt: skip
         fragment[name].replace(of.of(fragment[name].view))
     fragment["cells"].replace(_moved_cells(fragment["cells"].view, words))
     fragment["seeds"].replace(seeds.of(fragment["seeds"].view))
-    trees.keep(tables.tree, *tables.tree)
-    leaves.keep(tables.samples, *tables.samples)
+    samples.keep(tables.samples, *tables.samples)
+    leaves.keep(tables.leaves, *tables.leaves)
     tables.occupancy.keep(words.stays)
     return (
-        moved,
+        Compacted(moved, body[0], mesh_moves.meshes),
         [(each.number, new) for each, new in zip(meshes, new_meshes, strict=True)],
         [(each.number, new) for each, new in zip(surfaces, new_surfaces, strict=True)],
     )
@@ -148,23 +131,20 @@ def _one_row_of_each_broken_body(tables: PoolTables, rows: np.ndarray) -> np.nda
     return rows[broken[first]]
 
 
-def _tree_moves(tables: PoolTables, rows: np.ndarray, shared: list[TreeRows]) -> tuple[Moves, Moves]:
-    """(moves of tree entries, moves of leaves) of the trees that fragments `rows`, or later bodies of a mesh, use.
-
-    shared: the trees of whole meshes.
-    """
-    own = [tables.fragment[name].view[rows] for name in ("tree_begin", "tree_end", "leaf_begin", "leaf_end")]
-    ends = [np.concatenate([column, [tree[k] for tree in shared]]).astype(np.int64) for k, column in enumerate(own)]
+def _sample_moves(tables: PoolTables, rows: np.ndarray, shared: list[SampleRows]) -> tuple[Moves, Moves]:
+    """(moves of samples, moves of leaves) of fragments `rows`; shared: those of whole meshes, for later bodies."""
+    own = [tables.fragment[name].view[rows] for name in ("sample_begin", "sample_end", "leaf_begin", "leaf_end")]
+    ends = [np.concatenate([column, [each[k] for each in shared]]).astype(np.int64) for k, column in enumerate(own)]
     return (
-        moves_of_ranges(tables.tree["spheres"].used, ends[0], ends[1]),
-        moves_of_ranges(tables.samples["entries"].used, ends[2], ends[3]),
+        moves_of_ranges(tables.samples["points"].used, ends[0], ends[1]),
+        moves_of_ranges(tables.leaves["entries"].used, ends[2], ends[3]),
     )
 
 
-def _moved_tree(tree: TreeRows, trees: Moves, leaves: Moves) -> TreeRows:
-    return TreeRows(
-        int(trees.of(tree.begin)), int(trees.of(tree.end)), int(leaves.of(tree.leaf_begin)),
-        int(leaves.of(tree.leaf_end)), tree.middle,
+def _moved_samples(rows: SampleRows, samples: Moves, leaves: Moves) -> SampleRows:
+    return SampleRows(
+        int(samples.of(rows.begin)), int(samples.of(rows.end)), int(leaves.of(rows.leaf_begin)),
+        int(leaves.of(rows.leaf_end)), rows.middle,
     )  # fmt: skip
 
 
@@ -210,11 +190,6 @@ def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
     cell_begin = moves_of_ranges(table["cell_begin"].used, cell_rows[index], cell_rows[index + 1])
     begins = table["cell_begin"].view
     cells = moves_of_ranges(table["cell_tets"].used, begins[cell_rows[index]], begins[cell_rows[index + 1] - 1])
-    depth_dims = table["depth_grid_dims"].view
-    first_depth = depth_dims[index, 3].astype(np.int64)
-    depth = moves_of_ranges(
-        table["grid_depth"].used, first_depth, first_depth + depth_dims[index, :3].astype(np.int64).prod(axis=1)
-    )
 
     moves.nodes.keep(table, *_ON_NODES)
     moves.tetrahedra.keep(table, *_ON_TETRAHEDRA)
@@ -224,7 +199,6 @@ def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
     node_tets.keep(table, "node_tets")
     cell_begin.keep(table, "cell_begin")
     cells.keep(table, *_ON_CELLS)
-    depth.keep(table, "grid_depth")
     for name, of in (
         ("tetrahedra", moves.nodes), ("neighbours", moves.tetrahedra), ("tetrahedron_edges", moves.edges),
         ("edges", moves.nodes), ("edge_tets", moves.tetrahedra), ("node_tets_begin", node_tets),
@@ -240,9 +214,8 @@ def _compact_meshes(tables: PoolTables, meshes: list[MeshRows]) -> _MeshMoves:
             ]
         )
     )
-    for name, of in (("grid_dims", cell_begin), ("depth_grid_dims", depth)):
-        dims = table[name].view
-        table[name].replace(np.column_stack([dims[:, :3], of.of(dims[:, 3])]))
+    dims = table["grid_dims"].view
+    table["grid_dims"].replace(np.column_stack([dims[:, :3], cell_begin.of(dims[:, 3])]))
     return moves
 
 
@@ -277,8 +250,6 @@ def _compact_bodies(
         moves.append(moves_of_ranges(body[name].used, begin, begin + count))
     nodes, tetrahedra, edges = moves
     nodes.keep(body, "node_fragment")
-    if body["node_field"].used:
-        nodes.keep(body, "node_field")
     tetrahedra.keep(body, *OF_BODY_TETRAHEDRA)
     edges.keep(body, *OF_BODY_EDGES)
     regions, count = body["regions"].view, body["cut_count"].view
@@ -288,12 +259,10 @@ def _compact_bodies(
     is_cut = body["edge_plane"].view >= 0
     stays = np.zeros(body["planes"].used, bool)
     stays[body["edge_plane"].view[is_cut]] = True
-    planes = _moves(stays)
+    planes = moves_of(stays)
     polygons.keep(body, *OF_POLYGONS)
     planes.keep(body, "planes")
-    for name, of in (
-        ("node_fragment", moved), ("edge_plane", planes),
-    ):  # fmt: skip
+    for name, of in (("node_fragment", moved), ("edge_plane", planes)):
         body[name].replace(of.of(body[name].view))
     # edges that are not cut have no event
     body["edge_event"].replace(np.where(is_cut, planes.of(body["edge_event"].view), 0))

@@ -1,4 +1,4 @@
-"""Where a mesh, a tree and a fragment are in the pools, and how many bytes they take there."""
+"""Where a mesh, samples and a fragment are in the pools, and how many bytes they take there."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ OF_POLYGONS = ("triangles", "faces", "sides")
 _MOMENTS_AND_GAP = 88  # [bytes] per fragment outside its table
 
 
-class TreeRows(NamedTuple):
-    """Rows of a tree in the pools, and of its leaves of samples."""
+class SampleRows(NamedTuple):
+    """Rows of samples in the pools, and of their leaves."""
 
     begin: int
     end: int
@@ -33,7 +33,7 @@ class MeshRows(NamedTuple):
     node: int
     tet: int
     edge: int
-    tree: TreeRows
+    samples: SampleRows
     cells: np.ndarray
     counts: tuple[int, int, int]  # nodes, tetrahedra, edges
 
@@ -42,22 +42,22 @@ class SurfaceMeshRows(NamedTuple):
     """Rows of the mesh of a rigid body of triangles."""
 
     number: int  # of the mesh
-    tree: TreeRows
+    samples: SampleRows
 
 
-def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | None, has_own_tree: bool) -> int:
+def bytes_of_fragments(tables: PoolTables, rows: np.ndarray, mesh: MeshRows | None, has_own_samples: bool) -> int:
     """Bytes that `compact` would free without `rows` (n,), all fragments of one body, except its mesh.
 
-    mesh: of a body of tetrahedra; it may be shared. has_own_tree: false if its tree belongs to the mesh, even before it
-    breaks.
+    mesh: of a body of tetrahedra; it may be shared. has_own_samples: false if its samples belong to the mesh, even
+    before it breaks.
     """
     fragment = tables.fragment
     one = sum(column.row_bytes for column in fragment.values()) + _MOMENTS_AND_GAP
     total = len(rows) * one
     row = int(rows[0])
     is_broken = fragment["node_shift"].view[row] != NEVER_BROKEN
-    if is_broken or (mesh is None and has_own_tree):
-        for name, table in (("tree", tables.tree), ("leaf", tables.samples)):
+    if is_broken or (mesh is None and has_own_samples):
+        for name, table in (("sample", tables.samples), ("leaf", tables.leaves)):
             count = fragment[f"{name}_end"].view[rows].astype(np.int64) - fragment[f"{name}_begin"].view[rows]
             total += int(count.sum()) * sum(column.row_bytes for column in table.values())
     if mesh is None or not is_broken:
@@ -76,11 +76,11 @@ def bytes_of_broken(tables: PoolTables, row: int, touched: np.ndarray) -> int:
     """Bytes that `compact` would free after fragment `row` broke, before anything is rebuilt.
 
     touched (n,): rows of the mesh's tetrahedra whose polygons will be replaced. Not of a body that breaks for the first
-    time: its tree belongs to its mesh.
+    time: its samples belong to its mesh.
     """
     fragment, body = tables.fragment, tables.body
     total = sum(column.row_bytes for column in fragment.values()) + _MOMENTS_AND_GAP
-    for name, table in (("tree", tables.tree), ("leaf", tables.samples)):
+    for name, table in (("sample", tables.samples), ("leaf", tables.leaves)):
         count = int(fragment[f"{name}_end"].view[row]) - int(fragment[f"{name}_begin"].view[row])
         total += count * sum(column.row_bytes for column in table.values())
     polygons = int(body["cut_count"].view[touched + int(fragment["tet_shift"].view[row])].sum())

@@ -10,11 +10,7 @@ from fracture_collision.core.memory.kinds import TETRAHEDRA
 from fracture_collision.core.memory.pools import (
     LEAF,
     LEAF_VALUES,
-    OWN_SAMPLE,
     REGION,
-    SAMPLE,
-    SIZE,
-    SURFACE,
     BodyPool,
     FragmentPool,
     GrowableArray,
@@ -22,39 +18,35 @@ from fracture_collision.core.memory.pools import (
     Pools,
     SamplePool,
     SeedPool,
-    TreePool,
     TriangleMeshPool,
 )
 from fracture_collision.core.mesh.tet_mesh import TetMesh
-from fracture_collision.core.tree.sample_leaves import count_leaves, fill_leaves
-from fracture_collision.core.tree.sphere_tree import SphereTree, surface_marks
-from fracture_collision.grouping import begins_of
+from fracture_collision.core.samples.sample_leaves import fill_leaves, leaf_count
 
 
 class PoolTables:
     """Columns of each pool by name, growing at their ends."""
 
-    def __init__(self, traversal: int, field: int, normals: int) -> None:
+    def __init__(self) -> None:
         f8, f4, i4, u1, u8 = np.float64, np.float32, np.int32, np.uint8, np.uint64
         self.mesh = self._table(
             nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
             edge_tets=(0, i4), boxes=(6, f4), barycentric=(12, f8), walls=(16, f4), moments=(10, f8),
             on_surface=(0, u1), node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(5, i4),
             grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8),
-            depth_grid=(4, f8), depth_grid_dims=(4, i4), grid_depth=(0, f8),
         )  # fmt: skip
         self.body = self._table(
             node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), regions=(REGION, i4),
             cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
-            sides=(4, i4), node_field=(7, f8),
+            sides=(4, i4),
         )  # fmt: skip
         self.fragment = self._table(
             kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
-            shape=(4, f8), radius=(0, f8), tree_begin=(0, i4), tree_end=(0, i4), cells=(7, i4),
+            shape=(4, f8), radius=(0, f8), sample_begin=(0, i4), sample_end=(0, i4), cells=(7, i4),
             seeds=(2, i4), leaf_begin=(0, i4), leaf_end=(0, i4), middle=(4, f8),
         )  # fmt: skip
-        self.tree = self._table(spheres=(4, f8), entries=(3, i4))
-        self.samples = self._table(values=(LEAF_VALUES, f4), entries=(LEAF, i4))
+        self.samples = self._table(points=(3, f8), numbers=(0, i4))
+        self.leaves = self._table(values=(LEAF_VALUES, f4), entries=(LEAF, i4))
         self.triangles = self._table(
             corners=(9, f8), features=(6, i4), pseudonormals=(3, f8), node_box=(6, f8), node_skip=(0, i4),
             node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
@@ -62,7 +54,6 @@ class PoolTables:
         )  # fmt: skip
         self.seeds = self._table(keys=(0, np.int64), ranges=(2, i4), edges=(0, i4))
         self.occupancy = GrowableArray(0, u8, self._changed)
-        self._switches = traversal, field, normals
         self._pools: Pools | None = None
         self._roomy: Pools | None = None
 
@@ -92,21 +83,21 @@ class PoolTables:
         return self._roomy
 
     def _pools_of(self, rows: Callable[[GrowableArray], np.ndarray]) -> Pools:
-        mesh, body, fragment, tree, triangles, seeds = (
+        mesh, body, fragment, samples, triangles, seeds = (
             {name: rows(column) for name, column in pool.items()}
-            for pool in (self.mesh, self.body, self.fragment, self.tree, self.triangles, self.seeds)
+            for pool in (self.mesh, self.body, self.fragment, self.samples, self.triangles, self.seeds)
         )
-        samples = {name: rows(column).reshape(-1) for name, column in self.samples.items()}
+        leaves = {name: rows(column).reshape(-1) for name, column in self.leaves.items()}
         return Pools(
             MeshPool(**mesh), BodyPool(**body, region_planes=body["regions"].view(np.float32)),
-            FragmentPool(**fragment), TreePool(**tree), SamplePool(**samples), rows(self.occupancy),
-            TriangleMeshPool(**triangles), SeedPool(**seeds), *self._switches,
+            FragmentPool(**fragment), SamplePool(**samples, **leaves), rows(self.occupancy),
+            TriangleMeshPool(**triangles), SeedPool(**seeds),
         )  # fmt: skip
 
     @property
     def bytes_used(self) -> int:
         """Bytes of all rows in the pools, without spare capacity."""
-        pools = (self.mesh, self.body, self.fragment, self.tree, self.samples, self.triangles, self.seeds)
+        pools = (self.mesh, self.body, self.fragment, self.samples, self.leaves, self.triangles, self.seeds)
         columns = [column for pool in pools for column in pool.values()]
         return sum(column.used * column.row_bytes for column in (*columns, self.occupancy))
 
@@ -118,39 +109,18 @@ class PoolTables:
         origins[is_tetrahedral] = self.mesh["grid"].view[grids, :3]
         return origins
 
-    def append_tree(self, tree: SphereTree) -> int:
-        """Append a tree, or several consecutive ones; returns the row of the first root."""
-        count = len(tree.size)
-        spheres, entries = self.tree["spheres"].reserve(count), self.tree["entries"].reserve(count)
-        spheres[:, :3], spheres[:, 3] = tree.center, tree.radius
-        entries[:, SIZE], entries[:, SAMPLE] = tree.size, tree.sample
-        entries[:, SURFACE] = surface_marks(tree.size, tree.on_surface)
-        begin = self.tree["spheres"].advance(count)
-        self.tree["entries"].advance(count)
-        return begin
+    def append_samples(self, points: np.ndarray, numbers: np.ndarray) -> tuple[int, int, np.ndarray]:
+        """Append the samples (s, 3) [m] of one fragment, and their leaves; numbers (s,): sample_numbers.py.
 
-    def sphere_tree(self, row: int) -> SphereTree:
-        """A copy of the tree of a fragment, by its row."""
-        part = slice(int(self.fragment["tree_begin"].view[row]), int(self.fragment["tree_end"].view[row]))
-        spheres, entries = self.tree["spheres"].view[part], self.tree["entries"].view[part]
-        return SphereTree(
-            spheres[:, :3].copy(), spheres[:, 3].copy(), entries[:, SIZE].copy(), entries[:, SAMPLE].copy(),
-            (entries[:, SURFACE] == OWN_SAMPLE).astype(np.uint8),
-        )  # fmt: skip
-
-    def append_leaves(self, begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Append the leaves of samples of consecutive trees, rows begins[i] .. begins[i + 1] - 1 of the pool.
-
-        begins (n + 1,). Returns where the leaves of each begin, (n + 1,), and their middles (n, 4).
+        Returns (first sample, first leaf, middle (4,) of the Leaves).
         """
-        spheres, entries = self.tree["spheres"].view, self.tree["entries"].view
-        counts, middles = count_leaves(entries, begins), np.empty((len(begins) - 1, 4))
-        total = int(counts.sum())
-        columns = self.samples["values"].reserve(total), self.samples["entries"].reserve(total)
-        fill_leaves(spheres, entries, begins, counts, *columns, middles)
-        first = self.samples["values"].advance(total)
-        self.samples["entries"].advance(total)
-        return first + begins_of(counts), middles
+        count, middles = leaf_count(len(points)), np.empty((1, 4))
+        values, entries = self.leaves["values"].reserve(count), self.leaves["entries"].reserve(count)
+        fill_leaves(np.ascontiguousarray(points), np.array([0, len(points)]), values, entries, middles)
+        first = self.leaves["values"].advance(count)
+        self.leaves["entries"].advance(count)
+        self.samples["numbers"].append(numbers)
+        return self.samples["points"].append(points), first, middles[0]
 
     def append_mesh(self, mesh: TetMesh) -> tuple[int, int, int, int]:
         """Append a mesh; returns its row in `grid`, and its first node, tetrahedron and edge."""
@@ -172,6 +142,4 @@ class PoolTables:
         table["first"].append(np.array([[node, edge, len(mesh.nodes), tet, len(mesh.edges)]], np.int32))
         table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
         table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
-        table["depth_grid"].append(np.zeros((1, 4)))
-        table["depth_grid_dims"].append(np.zeros((1, 4)))
         return index, node, tet, edge

@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.bodies.interior_field import InteriorField
+from fracture_collision.core.glondu2014.paper_geometry import Preprocess
 from fracture_collision.core.memory.kinds import BOX, SPHERE
 from fracture_collision.core.mesh.moments import box_mass_properties, sphere_mass_properties, surface_moments
 from fracture_collision.core.mesh.tet_mesh import TetMesh
 from fracture_collision.core.mesh.triangle_field import TriangleMesh, build_triangle_mesh
-from fracture_collision.core.tree.sphere_tree import SphereTree, build_sphere_tree
 from fracture_collision.portable_math import lengths
 
 
@@ -24,25 +23,25 @@ class MassProperties(NamedTuple):
 
 
 class PreparedMesh(NamedTuple):
-    """A tetrahedral mesh with the sphere tree of the whole body: the preprocess that equal geometries share."""
+    """A tetrahedral mesh: the preprocess that equal geometries share."""
 
     mesh: TetMesh
-    tree: SphereTree
-    interior: list[InteriorField]  # empty until a body of this geometry breaks under the averaged field
+    paper: list[Preprocess]  # for the method glondu2014; empty until it is first used
 
 
 class PreparedSurface(NamedTuple):
     """The same preprocess for a rigid body with a closed triangle mesh."""
 
     mesh: TriangleMesh
-    tree: SphereTree
+    vertices: np.ndarray  # (n, 3) [m] its samples
+    paper: list[Preprocess]  # likewise
     moments: np.ndarray  # (10,) about the lower corner of its box, see moments.py
     sampling_gap: float  # [m]
 
 
 def prepare_mesh(mesh: TetMesh) -> PreparedMesh:
-    """Build the tree over all nodes, surface and interior (section 6.1)."""
-    return PreparedMesh(mesh, build_sphere_tree(mesh.nodes, mesh.on_surface), [])
+    """Preprocess a mesh; its nodes on the surface are its samples."""
+    return PreparedMesh(mesh, [])
 
 
 def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurface:
@@ -52,7 +51,8 @@ def prepare_surface(vertices: np.ndarray, triangles: np.ndarray) -> PreparedSurf
     mesh = build_triangle_mesh(vertices, triangles)
     return PreparedSurface(
         mesh,
-        build_sphere_tree(vertices, np.ones(len(vertices), np.uint8)),
+        np.ascontiguousarray(vertices, dtype=np.float64),
+        [],
         surface_moments(corners, mesh.node_box[0, :3]),
         # the corners of a triangle with longest side L cover it with balls of radius L / sqrt(3)
         float(longest / np.sqrt(3.0)),

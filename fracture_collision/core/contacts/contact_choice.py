@@ -19,7 +19,7 @@ from fracture_collision.core.contacts.known_samples import (
     share_a_body,
     side_of,
 )
-from fracture_collision.core.field.elementary_queries import INSIDE, NEAR
+from fracture_collision.core.field.elementary_queries import NEAR
 from fracture_collision.core.memory.compiled import inlined_kernel
 
 # Columns of scratch.node_int, node_float and spread, for candidate samples.
@@ -33,16 +33,13 @@ EQUAL = 1.0 - 1e-3
 
 
 class Rule(NamedTuple):
-    """Which of a pair's contacts are listed (Glondu 2014, section 5.2, and `choose`).
-
-    most = 0: the paper's rule; most > 0: ours.
-    """
+    """Which of a pair's contacts are listed (Glondu 2014, section 5.2, and `choose`)."""
 
     wanted: int  # m
-    most: int  # most contacts listed where more than m are deeper than epsilon, up to `limit`; 0: the paper's rule
+    most: int  # contacts listed where more than m are deeper than epsilon, at least m; without effect on Algorithm 1
     epsilon: float  # [m]
     near: float  # [m] the detection tolerance
-    limit: int  # most contacts kept of a pair, the deepest
+    every: int = 1  # of the samples that may be near, one in so many is queried (work_limit.py)
 
 
 @inlined_kernel
@@ -55,13 +52,14 @@ def way_out_of_box(box, x, y, z):
 def keep(pools, side, entry, sample, distance, deep, k, scratch):
     """Store a Placed sample of a Side as candidate k, without an answer.
 
-    entry: its row of TreePool; distance [m]: from the other fragment, or UNASKED; deep [m]: it is no deeper than that.
+    entry: its row of SamplePool; distance [m]: from the other fragment, or UNASKED; deep [m]: it is no deeper than
+    that.
     """
     node, point = scratch.node_int[k], scratch.node_float[k]
     node[ENTRY], node[SIDE], node[NUMBER], node[ANSWER] = entry, side.number, sample.number, -1
     point[0], point[1], point[2], point[DISTANCE] = sample.x, sample.y, sample.z, distance
     if side.number == 1:
-        own = pools.tree.spheres[entry]
+        own = pools.samples.points[entry]
         point[0], point[1], point[2] = own[0], own[1], own[2]
     scratch.spread[MOST_DEPTH, k] = deep
 
@@ -81,7 +79,7 @@ def is_final(answer, looked, rule):
     It may not if the probe searched farther than the tolerance, or less deep than the point may be: of surfaces equally
     near it may then find another.
     """
-    return (answer.status == NEAR and looked == rule.near) or (answer.status == INSIDE and rule.most == 0)
+    return answer.status == NEAR and looked == rule.near
 
 
 @inlined_kernel

@@ -29,8 +29,7 @@ from fracture_collision.core.field.flood import EVERYTHING, nearest_in_tetrahedr
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.heap import pop, push
 from fracture_collision.core.memory.kinds import is_mesh
-from fracture_collision.core.memory.pools import EXACT
-from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of, nearest_sample
+from fracture_collision.core.samples.sample_leaves import farthest_sample, leaves_of, nearest_sample
 
 # Maximum number of exit directions of deep samples, kept to bound the depth of others.
 MOST_WAYS = 8
@@ -42,23 +41,22 @@ SAMPLES_HELP = 0.02
 def may_wait(pools, other, rule, deep):
     """Whether the query of a sample in `other` may be deferred, with `deep` others deeper than epsilon.
 
-    Only where queries are slow. (Depths of the averaged field have no bound that is independent of which samples were
-    queried.)
+    Only where queries are slow.
     """
-    return rule.most > 0 and deep > rule.wanted and is_mesh(pools.fragment.kind[other]) and pools.field == EXACT
+    return deep > rule.wanted and is_mesh(pools.fragment.kind[other])
 
 
 @inlined_kernel
 def choose_deep(pools, pair, rule, slack, count, scratch):
     """contact_choice.choose where more than rule.wanted of the samples are deeper than epsilon.
 
-    Chooses the deepest, then of these those farthest from the ones already chosen, up to rule.most and rule.limit.
+    Chooses the deepest, then of these those farthest from the ones already chosen, up to rule.most.
     Returns (number chosen, bound [m] on the depth of the others).
     """
-    point, most_depth = scratch.node_float, scratch.spread[MOST_DEPTH]
+    point = scratch.node_float
     picked = scratch.queue[1]
     deepest = _find_deepest(pools, pair, slack, count, scratch)
-    first, aim = -1, max(min(rule.most, rule.limit), rule.wanted)
+    first, aim = -1, rule.most
     for k in range(count):
         if point[k, DISTANCE] == -deepest and (first < 0 or is_before(scratch, k, first)):
             first = k
@@ -73,9 +71,6 @@ def choose_deep(pools, pair, rule, slack, count, scratch):
         picked[chosen] = pick
         chosen += 1
     bound = deepest if chosen > aim else rule.epsilon
-    if pools.field != EXACT:
-        for k in range(count):
-            bound = max(bound, most_depth[k])
     chosen = min(chosen, aim)
     for k in range(chosen):
         swap(scratch, picked[k], k)

@@ -1,7 +1,6 @@
-"""Sorting of contact rows by sample or by depth, and selection of a limited number of the deepest.
+"""Sorting of contact rows by sample or by depth; ties are broken by side and sample.
 
-The first rows form a heap whose root comes last in the order; ties are broken by side and sample, so that selection and
-order depend on the contacts alone.
+For the order by depth, the first rows form a heap whose root comes last.
 """
 
 from __future__ import annotations
@@ -48,21 +47,6 @@ def make_heap(contacts, ids, count):
     """Make rows 0 .. count - 1 a heap."""
     for root in range(count // 2 - 1, -1, -1):
         _sift(contacts, ids, root, count)
-
-
-@query_kernel
-def keep_if_deeper(contacts, ids, count, row, row_ids):
-    """Keep the deeper of a new row and the shallowest row of a heap of `count` rows.
-
-    row (10,), row_ids (5,): the new row, as in a Sink. Returns the depth [m] of the row that is dropped.
-    """
-    if count > 0 and _is_before(row, row_ids, contacts[0], ids[0]):
-        for c in range(len(row)):
-            contacts[0, c], row[c] = row[c], contacts[0, c]
-        for c in range(len(row_ids)):
-            ids[0, c], row_ids[c] = row_ids[c], ids[0, c]
-        _sift(contacts, ids, 0, count)
-    return -row[GAP]
 
 
 @query_kernel

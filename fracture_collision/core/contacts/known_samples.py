@@ -12,7 +12,7 @@ from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.fracture.crack_seeds import find_seeds
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, is_bounded
-from fracture_collision.core.memory.pools import NEVER_BROKEN, SAMPLE
+from fracture_collision.core.memory.pools import NEVER_BROKEN
 from fracture_collision.core.memory.rotations import to_other
 from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
 from fracture_collision.core.mesh.sample_numbers import (
@@ -86,11 +86,11 @@ class Placed(NamedTuple):
 
 @inlined_kernel
 def placed(pools, side, entry):
-    """The Placed sample of row `entry` of TreePool, a sample of this Side."""
-    sphere, sample = pools.tree.spheres[entry], pools.tree.entries[entry, SAMPLE]
-    x, y, z = to_other(side.rotation, side.translation, sphere[0], sphere[1], sphere[2])
+    """The Placed sample of row `entry` of SamplePool, a sample of this Side."""
+    point, sample = pools.samples.points[entry], pools.samples.numbers[entry]
+    x, y, z = to_other(side.rotation, side.translation, point[0], point[1], point[2])
     start = home_tetrahedron(pools, side.other, sample) if side.one_body else -1
-    moved = moved_since(sphere, x, y, z) if side.one_body else math.inf
+    moved = moved_since(point, x, y, z) if side.one_body else math.inf
     return Placed(np.int64(sample), x, y, z, np.int64(start), moved, moved + side.slack)
 
 
@@ -109,9 +109,9 @@ def home_tetrahedron(pools, f, sample):
 
 
 @inlined_kernel
-def moved_since(sphere, x, y, z):
-    """Distance [m] of a sphere's centre from its place in the unbroken body; (x, y, z): in the other's frame."""
-    dx, dy, dz = x - sphere[0], y - sphere[1], z - sphere[2]
+def moved_since(point, x, y, z):
+    """Distance [m] of a point (3,) from its place in the unbroken body; (x, y, z): in the other's frame."""
+    dx, dy, dz = x - point[0], y - point[1], z - point[2]
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
@@ -146,9 +146,8 @@ def ask_sample(pools, other, sample, near, deep, reached, scratch):
     """bounded_probe of a Placed sample, searched to `deep` [m].
 
     In place no sample is inside another fragment of its body, so none is deeper than it has moved. The search finds a
-    farther surface where cracks through nodes leave the sample's own fragment neither volume nor area about it, and
-    with the averaged field. Such a sample is as deep as it has moved, along the normal found; most_depth stays that of
-    the point.
+    farther surface where cracks through nodes leave the sample's own fragment neither volume nor area about it. Such a
+    sample is as deep as it has moved, along the normal found; most_depth stays that of the point.
     """
     point, searched = (sample.x, sample.y, sample.z), min(deep, sample.deep)
     answer = bounded_probe(pools, other, point, near, searched, sample.start, reached, scratch)
@@ -164,10 +163,10 @@ def ask_sample(pools, other, sample, near, deep, reached, scratch):
 
 
 @query_kernel
-def query_seeds(pools, pair, wanted, near, most, sink, scratch):
+def query_seeds(pools, pair, wanted, near, sink, scratch):
     """Contacts of a Pair of one body at the crossings of the crack that they share, until there are `wanted`.
 
-    near [m]: detection tolerance; most: crossings queried at most, 0: all seeds. A crossing is a sample of both: the
+    near [m]: detection tolerance. A crossing is a sample of both: the
     two alternate as its owner. Fills the Sink as far as it goes. Returns (contacts, crossings queried).
     """
     a, b, rotation, translation = pair
@@ -179,7 +178,7 @@ def query_seeds(pools, pair, wanted, near, most, sink, scratch):
     count, asked = 0, 0
     point = scratch.point
     for k in range(begin, end):
-        if count == wanted or (most and asked == most):
+        if count == wanted:
             break
         asked += 1
         e = pools.seeds.edges[k]

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.contacts.deepest_contacts import GAP, make_heap, sort_heap, swap_contacts
+from fracture_collision.core.contacts.deepest_contacts import GAP, make_heap, sort_by_sample, sort_heap, swap_contacts
 from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe, inside_tetrahedron
 from fracture_collision.core.field.flood import NO_SOURCE
@@ -51,6 +51,8 @@ ONE_PLACE = 1e-6
 BEFORE = 1e-6
 # Maximum number of halvings of the reach until the triangles within it fit in the buffer.
 HALVINGS = 12
+# Maximum number of triangles tested where the work is limited.
+LEAST_WITHIN = 32
 # At most this many contacts are spread in direction, the others chosen by depth: comparing all is quadratic.
 SPREAD = 16
 
@@ -69,15 +71,16 @@ class Place(NamedTuple):
 
 
 @query_kernel
-def sphere_contacts(pools, pair, number, rule, most_within, sink, scratch):
+def sphere_contacts(pools, pair, number, rule, sink, scratch):
     """The contacts of the sphere on side `number` (0: a) of a Pair, by a Rule.
 
     Those within rule.near: the deepest, then others as far apart in direction as possible until there are rule.wanted,
-    and all that are deeper than rule.epsilon, at most rule.limit. If more than `most_within` triangles are within
-    reach, only the nearer ones are tested.
+    and all that are deeper than rule.epsilon, at most rule.most. If more triangles are within reach than there is room
+    for, of which there is less where rule.every is more than 1, only the nearer ones are tested.
 
-    Fills the first rows of a Sink as far as they go. Returns (contacts found, missed depth bound [m] of all other
-    places of the sphere, whether a limit left out any that are deeper than epsilon).
+    Fills the first rows of a Sink as far as they go; fewer than wanted are in the order of their numbers. Returns
+    (contacts found, missed depth bound [m] of all other places of the sphere, whether a limit left out any that are
+    deeper than epsilon).
     """
     ball, other = (pair.a, pair.b) if number == 0 else (pair.b, pair.a)
     center = pair.translation[number, 0], pair.translation[number, 1], pair.translation[number, 2]
@@ -95,7 +98,7 @@ def sphere_contacts(pools, pair, number, rule, most_within, sink, scratch):
     _put(places, 0, number, sample, center, radius, nearest)
     found, kept, bound, cut = 1, 1, 0.0, False
     if sample != NO_TRIANGLE and answer.status != INSIDE:
-        reach, room = radius + rule.near, min(most_within, len(within))
+        reach, room = radius + rule.near, min(len(within), LEAST_WITHIN if rule.every > 1 else len(within))
         count, _, _ = _triangles_within(pools, other, center, reach, center, within[:room], scratch)
         for _ in range(HALVINGS):
             if count <= room:
@@ -119,9 +122,9 @@ def sphere_contacts(pools, pair, number, rule, most_within, sink, scratch):
                 _put(places, found, number, _number(pools, other, within[k]), center, radius, place)
                 found += 1
         kept = found
-    if found > min(rule.wanted, rule.limit):
+    if found > rule.wanted:
         kept, left_out = _choose(
-            places.contacts[:found], places.ids[:found], rule.wanted, rule.epsilon, rule.limit
+            places.contacts[:found], places.ids[:found], rule.wanted, rule.epsilon, rule.most
         )
         bound, cut = max(bound, left_out), cut or left_out > rule.epsilon
     for k in range(min(kept, len(contacts))):
@@ -129,6 +132,8 @@ def sphere_contacts(pools, pair, number, rule, most_within, sink, scratch):
             contacts[k, c] = places.contacts[k, c]
         for c in range(ids.shape[1]):
             ids[k, c] = places.ids[k, c]
+    if kept < rule.wanted:
+        sort_by_sample(contacts, ids, min(kept, len(contacts)))
     return kept, bound, cut
 
 

@@ -13,8 +13,8 @@ from fracture_collision.core.edges.ridges import ALONG, LINE_BEGIN, LINE_LENGTH,
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.memory.rotations import rotated
+from fracture_collision.core.samples.sample_leaves import Leaves, worst_of_leaves
 from fracture_collision.core.separation.leaf_separation import half_spaces
-from fracture_collision.core.tree.sample_leaves import Leaves, worst_of_leaves
 
 # Single-precision rounding of a place along an edge, as a share of all lengths, for edges at a right angle.
 ROUNDING = 1e-6

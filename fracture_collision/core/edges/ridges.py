@@ -13,7 +13,7 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.memory.pools import LEAF, GrowableArray, Pools
-from fracture_collision.core.tree.sample_leaves import place_on_curve
+from fracture_collision.core.samples.sample_leaves import place_on_curve
 
 # Minimum turn of the surface at a ridge (chord of the angle), and minimum length as a share of R: where flatter or
 # shorter ones cross, samples beside them are about as deep.

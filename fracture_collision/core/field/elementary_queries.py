@@ -2,7 +2,7 @@
 
 Points are in the body frame of the queried fragment. A probe computes all three at once, as far as the caller needs:
 (status, distance, normal), the distance signed, positive outside, the normal outward, the closest point
-x - distance * normal (exact for planes, spheres, boxes and the averaged field, else returned separately).
+x - distance * normal (exact for planes, spheres and boxes, else returned separately).
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fracture_collision.core.field.averaged_field import averaged_penetration
 from fracture_collision.core.field.flood import (
     EVERYTHING,
     NO_SOURCE,
@@ -20,7 +19,6 @@ from fracture_collision.core.field.flood import (
 )
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES, is_mesh
-from fracture_collision.core.memory.pools import AVERAGED, NEVER_BROKEN
 from fracture_collision.core.mesh.closest_point import box_distance_squared
 from fracture_collision.core.mesh.occupancy import sphere_may_touch
 from fracture_collision.core.mesh.point_location import owner_in_tetrahedron, tetrahedron_at, tetrahedron_from
@@ -43,7 +41,7 @@ class Probe(NamedTuple):
     x: float  # [m] closest point of the surface
     y: float
     z: float
-    most_depth: float  # [m] upper bound of the depth: -distance where that is exact or a lower bound; see bounded_probe
+    most_depth: float  # [m] upper bound of the depth: -distance where that is exact or a lower bound
     source: int  # surface triangle of the closest point, flood.NO_SOURCE: not from a flood
     source_tetrahedron: int  # the tetrahedron that it is in, -1: none
     tetrahedron: int  # the tetrahedron that holds the point, -1: none, or not searched
@@ -62,8 +60,8 @@ def inside_tetrahedron(pools, f, x, y, z):
 def probe(pools, f, point, near, deep, scratch):
     """All queries for one point (x, y, z): (status, distance [m], nx, ny, nz, closest x, y, z).
 
-    `near` [m]: search limit of the closest point from outside; `deep` [m]: the same from inside (infinity: no limit;
-    the averaged field has none). The distance of an OUTSIDE point is a lower bound, that of an INSIDE point deeper than
+    `near` [m]: search limit of the closest point from outside; `deep` [m]: the same from inside (infinity: no limit).
+    The distance of an OUTSIDE point is a lower bound, that of an INSIDE point deeper than
     `deep` is minus infinity.
     """
     answer = bounded_probe(pools, f, point, near, deep, -1, False, scratch)
@@ -74,8 +72,7 @@ def probe(pools, f, point, near, deep, scratch):
 def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
     """`probe` with everything computed for the point: a Probe.
 
-    Inside a broken body, the averaged field has no error bound: most_depth is then more than minus the distance. start:
-    a tetrahedron near the point, -1 if none is known; reached: sphere_test returned that f may be within `near`.
+    start: a tetrahedron near the point, -1 if none is known; reached: sphere_test returned that f may be within `near`.
     """
     x, y, z = point
     kind = pools.fragment.kind[f]
@@ -106,9 +103,6 @@ def _probe_mesh(pools, f, point, near, deep, start, reached, scratch):
     k = pools.fragment.mesh[f]
     t = tetrahedron_at(pools.mesh, k, x, y, z) if start < 0 else tetrahedron_from(pools.mesh, k, start, x, y, z)
     if t >= 0 and owner_in_tetrahedron(pools, f, t, x, y, z) == f:
-        if pools.field == AVERAGED and pools.fragment.node_shift[f] != NEVER_BROKEN:
-            d, nx, ny, nz, most = averaged_penetration(pools, f, t, x, y, z)
-            return Probe(INSIDE, -d, nx, ny, nz, x + d * nx, y + d * ny, z + d * nz, most, NO_SOURCE, -1, t)
         best = nearest_from_inside(pools, f, t, point, deep, EVERYTHING, scratch)
         if best[5] == NO_SOURCE:
             return Probe(INSIDE, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, NO_SOURCE, -1, t)

@@ -20,9 +20,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fracture_collision.core.contacts.contact_choice import Rule
 from fracture_collision.core.contacts.facing_normal import turn_contacts
 from fracture_collision.core.contacts.known_samples import rounding_slack
+from fracture_collision.core.contacts.sphere_contacts import sphere_contacts
 from fracture_collision.core.edges.ridge_contacts import least_apart
 from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.lookahead.later_contacts import bring_back, gap_then, keep_new, put_poses
@@ -37,11 +37,9 @@ from fracture_collision.core.lookahead.staying_apart import (
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel, spliced_kernel
 from fracture_collision.core.memory.kinds import SPHERE
 from fracture_collision.core.memory.pair import Sink
-from fracture_collision.core.memory.pools import FACING
 from fracture_collision.core.memory.rotations import rotated
 from fracture_collision.core.search.neighbour_lists import MOST_AHEAD, NEAR_LAST, UNTIL, Listing, least_left
 from fracture_collision.core.search.sample_search import may_search, query_listed, search_samples
-from fracture_collision.core.search.traversal import VisitLimits, query_pair
 from fracture_collision.core.separation.approach import WAY
 
 # Maximum number of moments evaluated. A pair uses them up where one fragment slides along a surface of the other: after
@@ -52,7 +50,6 @@ MOST_MOMENTS, FINE_MOMENTS = 2400, 1200
 LEAST = 2.0
 # And by at least this share of R, where the tolerance is zero.
 SHORTEST = 1e-4
-UNLIMITED = 1 << 40
 # Sample distances are searched up to this share of R, or of the remaining path: searching farther costs more than a
 # second query.
 AHEAD, AHEAD_ON_WAY = 0.004, 0.05
@@ -95,7 +92,7 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
     """Contacts of the two fragments of a Moving at the first moment from a given one at which they are near, by a Rule.
 
     since: that moment [s], and how many contacts found before the Sink already holds: the new ones are written to the
-    rows after them. With any, the search covers all further contacts that are apart now, up to rule.limit in all, and
+    rows after them. With any, the search covers all further contacts that are apart now, and
     runs until earlier contacts hold the two: any of them, or only those found here if the moment is 0. Points are
     reported where they are now. pair: its relative poses are working space.
 
@@ -125,8 +122,6 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
     toward = scratch.ahead_toward
     toward[0] = toward[1] = toward[2] = 0.0
     for moment in range(MOST_MOMENTS):
-        if touches and known + new + max(min(rule.most, rule.limit), rule.wanted) > rule.limit:
-            break
         put_poses(moving, t, of_world, place, pair)
         far, step = speed * left, 0.0
         gap, nx, ny, nz = -math.inf, 0.0, 0.0, 0.0
@@ -162,8 +157,7 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
             if found > room:
                 return new + found, t, visits, unseen
             if found > 0:
-                if pools.normals == FACING:
-                    turn_contacts(pools, pair, rule.near, out, found, scratch)
+                turn_contacts(pools, pair, rule.near, out, found, scratch)
                 bring_back(pools, moving, of_world, pair, out, found)
                 if not touches:
                     return found, t, visits, unseen
@@ -201,9 +195,9 @@ def near_now(pools, edges, pair, rule, search, listed, sink, scratch):
         clear = _clearance_of_sphere(pools, a, b, translation, rule.near, far, scratch)
         if clear > 0.0:
             return 0, clear, Listed(-1, 0, 0.0), 1
-        most = Rule(rule.wanted, rule.most, rule.epsilon, rule.near, min(rule.most, rule.limit))
-        found, _, visits, _, clear = query_pair(pools, pair, most, VisitLimits(0, UNLIMITED), sink, scratch)
-        return found, clear, Listed(-1, 0, 0.0), visits
+        side = 0 if pools.fragment.kind[a] == SPHERE else 1
+        found, _, _ = sphere_contacts(pools, pair, side, rule, sink, scratch)
+        return found, 0.0, Listed(-1, 0, 0.0), 1
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
     samples, places, ridges = scratch.ahead_samples, scratch.ahead_places, scratch.ahead_ridges
     ways, toward = scratch.ahead_ways, scratch.ahead_toward
@@ -212,13 +206,15 @@ def near_now(pools, edges, pair, rule, search, listed, sink, scratch):
     shallow = max(rule.epsilon, HELD * radius)
     if count >= 0 and lasts > 0.0:
         listing = Listing(0.0, ahead, ways, samples[:count], places[:count], ridges[:crossings], toward, shallow)
-        found, _, visits = query_listed(pools, edges, pair, rule, listing, sink, scratch)
+        searched = query_listed(pools, edges, pair, rule, listing, sink, scratch)
+        found, visits = searched.count, searched.visits
     else:
         lasts, visits, found = min(TO_THE_END * far, search.reach), 0, 0
         for _ in range(NARROWINGS):
             listing = Listing(lasts, min(ahead, lasts), ways, samples, places, ridges, toward, shallow)
-            found, _, more, count, crossings, clear = search_samples(pools, edges, pair, rule, listing, sink, scratch)
-            visits += more
+            searched = search_samples(pools, edges, pair, rule, listing, sink, scratch)
+            found, count, crossings, clear = searched.count, searched.samples, searched.crossings, searched.clear
+            visits += searched.visits
             if (count <= MOST_AHEAD and crossings <= MOST_AHEAD) or (found != 0 and not touches):
                 break
             lasts *= NARROWER

@@ -15,9 +15,8 @@ from fracture_collision.core.lookahead.motion import closing_along, closing_spee
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.kinds import PLANE, SPHERE, is_bounded
 from fracture_collision.core.memory.rotations import rotated, turned_back
-from fracture_collision.core.separation.hull_separation import MOST_STEPS
-from fracture_collision.core.separation.leaf_separation import parting_plane_of_leaves
-from fracture_collision.core.tree.sample_leaves import farthest_sample, leaves_of
+from fracture_collision.core.samples.sample_leaves import farthest_sample, leaves_of
+from fracture_collision.core.separation.leaf_separation import MOST_STEPS, parting_plane_of_leaves
 
 # A pair that closes by no more than this share of the thinner one's thickness does not pass through it.
 THIN = 0.2

@@ -1,7 +1,7 @@
-"""The arrays every kernel reads: all meshes, bodies, fragments, polygons and trees, concatenated.
+"""The arrays every kernel reads: all meshes, bodies, fragments, polygons and samples, concatenated.
 
 One flat array per quantity, independent of the number of bodies, so that a kernel takes everything in one tuple and
-equal geometries share one preprocess. Rows are only appended; a retired fragment's tree stays as garbage until the
+equal geometries share one preprocess. Rows are only appended; a retired fragment's samples stay as garbage until the
 pools are compacted (pool_compaction.py) or the world is rebuilt. `GrowableArray` owns the memory (pool_tables.py holds
 one per column), the NamedTuples are views for the kernels.
 """
@@ -113,10 +113,6 @@ class MeshPool(NamedTuple):
     cell_begin: np.ndarray  # int32, cells + 1 per mesh
     cell_tets: np.ndarray  # int32
     cell_parts: np.ndarray  # uint64, one bit per part of the cell that this tetrahedron may meet (occupancy.py)
-    # the dense grid of the averaged field (interior_field.py); empty until a body of the mesh breaks under that field
-    depth_grid: np.ndarray  # (meshes, 4) float64: first grid point [m], cell [m]
-    depth_grid_dims: np.ndarray  # (meshes, 4) int32: grid points along x, y, z; first entry in grid_depth
-    grid_depth: np.ndarray  # float64 [m] signed distance of the unbroken body, positive inside
 
 
 class BodyPool(NamedTuple):
@@ -133,8 +129,6 @@ class BodyPool(NamedTuple):
     triangles: np.ndarray  # (T, 9) float64 [m] corners, right-handed about the outward normal of `front`
     faces: np.ndarray  # (T, 4) float64 their planes: that unit normal and the offset [m]
     sides: np.ndarray  # (T, 4) int32 FRONT_SIDE, BACK_SIDE, KIND, VOID
-    # the averaged field, rows as node_fragment; no rows under the exact field
-    node_field: np.ndarray  # (., 7) float64: d [m] and unit n of Glondu 2014, eq. 1-2; a point [m] certainly not inside
 
 
 class FragmentPool(NamedTuple):
@@ -148,8 +142,8 @@ class FragmentPool(NamedTuple):
     box: np.ndarray  # (F, 6) float64 [m], body frame
     shape: np.ndarray  # (F, 4) float64: plane (n, offset), sphere (radius), box (half edges) [m]
     radius: np.ndarray  # float64 [m] R of the body, half the longest side of its box; infinite for a plane
-    tree_begin: np.ndarray  # int32
-    tree_end: np.ndarray  # int32
+    sample_begin: np.ndarray  # int32 first row of SamplePool.points
+    sample_end: np.ndarray  # int32
     cells: np.ndarray  # (F, 7) int32: first cell x y z, cells x y z, first word of `occupancy`
     seeds: np.ndarray  # (F, 2) int32: first row of SeedPool.keys of its body, end row
     leaf_begin: np.ndarray  # int32 first leaf of SamplePool
@@ -172,24 +166,11 @@ class TriangleMeshPool(NamedTuple):
     first_vertex: np.ndarray  # (meshes,) int32: row of pseudonormals of its first vertex
 
 
-class TreePool(NamedTuple):
-    """Sphere trees in preorder (sphere_tree.py); the values that a visit reads are adjacent."""
-
-    spheres: np.ndarray  # (S, 4) float64 [m], centre in the body frame, radius
-    entries: np.ndarray  # (S, 3) int32: SIZE, SAMPLE, SURFACE
-
-
-# Columns of TreePool.entries.
-SIZE = 0  # entries of the subtree including this one
-SAMPLE = 1  # number of the sample point within its body, sample_numbers.py
-SURFACE = 2  # OWN_SAMPLE if the point samples the fragment's surface, NONE_BELOW if nothing in the subtree does, else 0
-OWN_SAMPLE = 1
-NONE_BELOW = -1
-
-
 class SamplePool(NamedTuple):
-    """Leaves of samples (sample_leaves.py), contiguous per fragment."""
+    """Samples of the fragments' surfaces and their leaves (sample_leaves.py), contiguous per fragment."""
 
+    points: np.ndarray  # (S, 3) float64 [m] body frame
+    numbers: np.ndarray  # (S,) int32 within the body, sample_numbers.py
     values: np.ndarray  # (LEAF_VALUES L,) float32 [m]
     entries: np.ndarray  # (LEAF L,) int32
 
@@ -215,33 +196,16 @@ class SeedPool(NamedTuple):
 
 
 class Pools(NamedTuple):
-    """All pools, and the switches that select the variants of the algorithms."""
+    """All pools."""
 
     mesh: MeshPool
     body: BodyPool
     fragment: FragmentPool
-    tree: TreePool
     samples: SamplePool
     occupancy: np.ndarray  # uint64, multi-level grids (occupancy.py)
     triangles: TriangleMeshPool
     seeds: SeedPool
-    traversal: int  # ALTERNATING or QUEUE
-    field: int  # EXACT or AVERAGED
-    normals: int  # NEAREST or FACING
 
-
-# Pools.traversal: the order in which the children of entered nodes are visited (traversal.py).
-ALTERNATING = 0  # children of different parents first (Glondu 2014, section 5.3)
-QUEUE = 1  # all children of a parent in a row, the regular breadth-first order of the paper's earlier version [27]
-
-# Pools.field: depth in a broken body, by local flood or from one averaged distance per node (Glondu 2014, 4.1 - 4.4).
-EXACT = 0
-AVERAGED = 1
-
-# Pools.normals: towards the nearest surface, or towards a surface that faces the sample: between two fragments of one
-# body their shared crack (crack_normal.py), else see facing_normal.py.
-NEAREST = 0
-FACING = 1
 
 # Columns of BodyPool.regions.
 OWNER = 0  # fragment row if one fragment owns the whole tetrahedron, else PARTED or FANNED

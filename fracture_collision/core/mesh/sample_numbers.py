@@ -16,8 +16,8 @@ from fracture_collision.core.memory.compiled import inlined_kernel
 
 CORNERS_EACH = 5
 OF_HUB, OF_FACE = 0, 1
-# Numbers of contacts without a sample start beyond all sample numbers: of surfaces, of crossing ridges, of patches.
-FIRST_OF_SURFACES, FIRST_OF_RIDGES, FIRST_OF_PATCHES = 1 << 40, 1 << 42, 1 << 60
+# Numbers of contacts without a sample start beyond all sample numbers: of crossing ridges, of patches.
+FIRST_OF_RIDGES, FIRST_OF_PATCHES = 1 << 42, 1 << 60
 # Columns of MeshPool.first.
 FIRST_NODE, FIRST_EDGE, NODES, FIRST_TETRAHEDRON, EDGES = 0, 1, 2, 3, 4
 

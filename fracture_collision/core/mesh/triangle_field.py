@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
-from fracture_collision.core.memory.pools import GrowableArray
+from fracture_collision.core.memory.pools import GrowableArray, TriangleMeshPool
 from fracture_collision.core.mesh.closest_point import (
     DIRECTION_FLOOR,
     ON_FACE,
@@ -70,6 +70,15 @@ def append_triangle_mesh(table: dict[str, GrowableArray], mesh: TriangleMesh) ->
     table["node_first"].append(mesh.node_first + triangle)
     table["triangle_range"].append(np.array([[triangle, triangle + len(mesh.corners)]], np.int32))
     return table["node_range"].append(np.array([[node, node + len(mesh.node_box)]], np.int32))
+
+
+def triangle_pool(mesh: TriangleMesh) -> TriangleMeshPool:
+    """A TriangleMeshPool with this mesh alone, row 0."""
+    return TriangleMeshPool(
+        mesh.corners, mesh.features, mesh.pseudonormals, mesh.node_box, mesh.node_skip, mesh.node_first,
+        mesh.node_count, np.array([[0, len(mesh.node_box)]], np.int32), np.array([[0, len(mesh.corners)]], np.int32),
+        np.array([3 * len(mesh.corners) // 2], np.int32),
+    )  # fmt: skip
 
 
 def _pseudonormals(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,6 @@ import numpy as np
 from fracture_collision.core.lookahead.motion import NO_MOTION, Motion, sweep_box
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.memory.kinds import PLANE, is_bounded
-from fracture_collision.core.pair.crowds import Overlaps, overlaps_of
 
 # All pairs are recomputed if more than one fragment in FEW has moved.
 FEW = 16
@@ -27,13 +26,11 @@ class Paired(NamedTuple):
     motion: Motion  # of the rows
     boxes: np.ndarray  # (n, 6) [m] in the world, with their margins, swept over the look-ahead time
     pairs: np.ndarray  # (p, 2) int64 of indices i < j into `rows`, ascending
-    overlaps: Overlaps  # of the pairs
 
 
 NOTHING_PAIRED = Paired(
     np.zeros(0, np.int64), np.zeros((0, 3, 3)), np.zeros((0, 3)), NO_MOTION, np.zeros((0, 6)),
     np.zeros((0, 2), np.int64),
-    Overlaps(np.zeros(0, np.bool_), np.zeros((0, 2))),
 )  # fmt: skip
 
 
@@ -145,14 +142,14 @@ def pairs_within_reach(fragment, placed, motion, is_static, tolerance, most, bef
         for i in range(len(motion.reach)):
             sweep_box(motion, i, boxes[i])
         pairs = overlapping_pairs(boxes, kinds, shapes, rotations, positions, is_static, most)
-        return radius, Paired(rows, rotations, positions, motion, boxes, pairs, overlaps_of(boxes, pairs))
+        return radius, Paired(rows, rotations, positions, motion, boxes, pairs)
     boxes = before.boxes.copy()
     for i in np.flatnonzero(has_moved):
         _put_world_box(fragment.box[rows[i]], rotations[i], positions[i], margins[i], boxes[i])
         if motion.time > 0.0:
             sweep_box(motion, i, boxes[i])
-    pairs, overlaps = _renewed(before, has_moved, boxes, kinds, shapes, rotations, positions, is_static)
-    return radius, Paired(rows, rotations, positions, motion, boxes, pairs, overlaps)
+    pairs = _renewed(before, has_moved, boxes, kinds, shapes, rotations, positions, is_static)
+    return radius, Paired(rows, rotations, positions, motion, boxes, pairs)
 
 
 @kernel
@@ -177,7 +174,7 @@ def _that_moved(before, rows, rotations, positions, motion):
 
 @kernel
 def _renewed(before, has_moved, boxes, kinds, shapes, rotations, positions, is_static):
-    """Pairs and Overlaps of `boxes`: from `before` where neither fragment has moved; of the others all that meet."""
+    """Pairs of `boxes`: from `before` where neither fragment has moved; of the others all that meet."""
     n, used = len(boxes), 0
     found = np.empty((64, 2), dtype=np.int64)
     for i in np.flatnonzero(has_moved):
@@ -190,26 +187,24 @@ def _renewed(before, has_moved, boxes, kinds, shapes, rotations, positions, is_s
                 found[used, 0], found[used, 1] = min(i, j), max(i, j)
                 used += 1
     found = found[:used][np.argsort(found[:used, 0] * n + found[:used, 1], kind="mergesort")]
-    fresh = overlaps_of(boxes, found)
     total = used
     for p in range(len(before.pairs)):
         total += not (has_moved[before.pairs[p, 0]] or has_moved[before.pairs[p, 1]])
-    pairs, coincide, shares = np.empty((total, 2), np.int64), np.empty(total, np.bool_), np.empty((total, 2))
+    pairs = np.empty((total, 2), np.int64)
     p = q = 0
     for k in range(total):
         while p < len(before.pairs) and (has_moved[before.pairs[p, 0]] or has_moved[before.pairs[p, 1]]):
             p += 1
-        of, at, overlaps = before.pairs, p, before.overlaps
+        of, at = before.pairs, p
         if p == len(before.pairs) or (
             q < used and found[q, 0] * n + found[q, 1] < before.pairs[p, 0] * n + before.pairs[p, 1]
         ):
-            of, at, overlaps = found, q, fresh
+            of, at = found, q
             q += 1
         else:
             p += 1
-        pairs[k, 0], pairs[k, 1], coincide[k] = of[at, 0], of[at, 1], overlaps.coincide[at]
-        shares[k, 0], shares[k, 1] = overlaps.shares[at, 0], overlaps.shares[at, 1]
-    return pairs, Overlaps(coincide, shares)
+        pairs[k, 0], pairs[k, 1] = of[at, 0], of[at, 1]
+    return pairs
 
 
 @inlined_kernel

@@ -1,7 +1,4 @@
-"""The search of one pair: from its neighbour list, among its leaves of samples, or by Algorithm 1; then ahead in time.
-
-Which of them is used never changes the contacts, only the work.
-"""
+"""The search of one pair: from its neighbour list or among its leaves of samples, which only saves work; then ahead."""
 
 from __future__ import annotations
 
@@ -10,6 +7,7 @@ from typing import NamedTuple
 
 from fracture_collision.core.contacts.contact_choice import Rule
 from fracture_collision.core.contacts.known_samples import rounding_slack, share_a_body
+from fracture_collision.core.contacts.sphere_contacts import sphere_contacts
 from fracture_collision.core.edges.ridge_contacts import least_apart
 from fracture_collision.core.edges.ridges import Ridges
 from fracture_collision.core.lookahead.first_touch import first_touch
@@ -17,14 +15,13 @@ from fracture_collision.core.lookahead.motion import between_balls, closing_spee
 from fracture_collision.core.lookahead.sphere_at_end import sphere_at_end
 from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hulls_stay_apart, may_touch_again
 from fracture_collision.core.memory.compiled import spliced_kernel
+from fracture_collision.core.memory.kinds import SPHERE, is_bounded
 from fracture_collision.core.memory.pair import Sink
 from fracture_collision.core.memory.pools import Pools
-from fracture_collision.core.pair.crowds import UNSHARED
 from fracture_collision.core.patches.pair_contacts import Wanted, put_patch
 from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes, have_patches
 from fracture_collision.core.search.neighbour_lists import (
     FAST,
-    FULL,
     IN_PLACE,
     MOST_LISTED,
     MOST_RIDGES,
@@ -37,7 +34,8 @@ from fracture_collision.core.search.neighbour_lists import (
     reach_of,
 )
 from fracture_collision.core.search.sample_search import begins_with_seeds, may_search, query_listed, search_samples
-from fracture_collision.core.search.traversal import BY_LIMIT, COMPLETE, query_pair
+from fracture_collision.core.search.work_limit import BY_LIMIT, COMPLETE
+from fracture_collision.core.separation.oriented_boxes import box_clearance
 
 NOT_FOUND = -1  # contacts, where another search must be run
 
@@ -83,45 +81,53 @@ def patch_pair(geometry, pair, moving, rule, slot, sink, scratch):
         keep_pose(pair.rotation, pair.translation, slot.lists.poses[slot.row])
     else:
         remembered[0] = 0.0
-    wanted = Wanted(rule.near, moved, min(rule.wanted, rule.limit))
+    wanted = Wanted(rule.near, moved, rule.wanted)
     count, bound, is_ahead = put_patch(geometry.shapes, pair, moving, wanted, remembered, sink)
-    ended = BY_LIMIT if count == rule.limit < rule.wanted else COMPLETE
-    return True, Found(count, bound, 0, ended, 0.0), is_ahead
+    return True, Found(count, bound, 0, COMPLETE, 0.0), is_ahead
 
 
 @spliced_kernel
-def search_pair(geometry, pair, rule, limits, slot, sink, scratch):
+def search_pair(geometry, pair, rule, slot, sink, scratch):
     """The Found of a Pair at its present relative poses, by a Rule; the contacts are written to a Sink.
 
-    limits: VisitLimits; slot: the pair's Slot, whose list is used and renewed.
+    slot: the pair's Slot, whose list is used and renewed.
     """
     pools = geometry.pools
-    a, b, rotation, translation = pair
-    radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
-    # under the paper's rule, a pair without a list runs the paper's algorithm
-    is_quick = limits.budget == UNSHARED and rule.limit >= rule.wanted and may_search(pools, a, b)
-    is_quick = is_quick and (rule.most > 0 or slot.row >= 0)
+    radius = min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
     found, moves = Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0), FAST * radius
     if slot.row >= 0 and slot.is_known:
-        rounding = 2.0 * rounding_slack(pools, a, b, translation)
+        rounding = 2.0 * rounding_slack(pools, pair.a, pair.b, pair.translation)
         moves = displacement(pools, pair, slot.lists.poses[slot.row]) + rounding
         if slot.lists.counts[slot.row] >= 0:
             found = _from_list(geometry, pair, rule, moves, slot, sink, scratch)
-        is_quick = is_quick and slot.lists.counts[slot.row] != FULL
     if slot.row >= 0:
-        keep_pose(rotation, translation, slot.lists.poses[slot.row])
-    if found.count == NOT_FOUND and is_quick:
+        keep_pose(pair.rotation, pair.translation, slot.lists.poses[slot.row])
+    if found.count == NOT_FOUND and may_search(pools, pair.a, pair.b):
         found = _among_samples(geometry, pair, rule, moves, slot, sink, scratch)
-    if found.count == NOT_FOUND:
-        count, bound, visits, exhausted, clear = query_pair(pools, pair, rule, limits, sink, scratch)
-        found = Found(count, bound, visits, exhausted, clear)
-        if slot.row >= 0:
-            lists = slot.lists
-            lists.counts[slot.row] = FULL if count >= rule.wanted else NOT_LISTED
-            if clear > 0.0:
-                lists.counts[slot.row], lists.ridges[slot.row], lists.reach[slot.row] = 0, 0, clear
-                keep_pose(rotation, translation, lists.listed_at[slot.row])
+    elif found.count == NOT_FOUND:
+        found = _of_sphere(pools, pair, rule, slot, sink, scratch)
     return found
+
+
+@spliced_kernel
+def _of_sphere(pools, pair, rule, slot, sink, scratch):
+    """The Found of a Pair with a sphere."""
+    a, b, rotation, translation = pair
+    slack, parted = rounding_slack(pools, a, b, translation), -math.inf
+    if is_bounded(pools.fragment.kind[a]) and is_bounded(pools.fragment.kind[b]):
+        boxes = pools.fragment.box
+        parted = box_clearance(boxes[a], boxes[b], rotation[0], translation[0], rule.near + slack)
+    clear = parted - rule.near - slack
+    if slot.row >= 0:
+        slot.lists.counts[slot.row] = NOT_LISTED
+        if clear > 0.0:
+            slot.lists.counts[slot.row], slot.lists.ridges[slot.row], slot.lists.reach[slot.row] = 0, 0, clear
+            keep_pose(rotation, translation, slot.lists.listed_at[slot.row])
+    if clear > 0.0:
+        return Found(0, slack, 0, COMPLETE, clear)
+    side = 0 if pools.fragment.kind[a] == SPHERE else 1
+    count, bound, is_cut = sphere_contacts(pools, pair, side, rule, sink, scratch)
+    return Found(count, bound + slack, 0, BY_LIMIT if is_cut else COMPLETE, 0.0)
 
 
 @spliced_kernel
@@ -137,7 +143,7 @@ def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
     moved = displacement(pools, pair, lists.listed_at[row])
     if not moved + rounding < lists.reach[row]:
         return Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0)
-    if n > 0 and rule.most > 0 and begins_with_seeds(pools, pair, rule):
+    if n > 0 and begins_with_seeds(pools, pair, rule):
         return Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0)
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
     ahead = min(reach_of(moves, radius)[1], lists.reach[row] - moved)
@@ -145,11 +151,11 @@ def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
         0.0, ahead, scratch.any_way, lists.listed[row, :n], lists.places[row, :n],
         lists.ridge_pairs[row, : lists.ridges[row]], lists.toward[row], rule.epsilon,
     )  # fmt: skip
-    count, bound, visits = query_listed(pools, geometry.edges, pair, rule, listing, sink, scratch)
+    found = query_listed(pools, geometry.edges, pair, rule, listing, sink, scratch)
     clear = 0.0
-    if slot.for_motion and count == 0:
+    if slot.for_motion and found.count == 0:
         clear = min(_left_of(geometry, pair, rule, listing, n, scratch), lists.reach[row] - moved - rounding)
-    return Found(count, bound, visits, _ended(count, rule), clear)
+    return Found(found.count, found.bound, found.visits, COMPLETE, clear)
 
 
 @spliced_kernel
@@ -167,28 +173,21 @@ def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
     else:
         toward[0] = toward[1] = toward[2] = 0.0
     listing = Listing(reach, ahead, scratch.any_way, listed, places, ridges, toward, rule.epsilon)
-    count, bound, visits, samples, crossings, clear = search_samples(
-        pools, geometry.edges, pair, rule, listing, sink, scratch
-    )
+    found = search_samples(pools, geometry.edges, pair, rule, listing, sink, scratch)
+    clear, samples, crossings = found.clear, found.samples, found.crossings
     if row >= 0:
-        lists.counts[row] = NOT_LISTED if count >= 0 else FULL
+        lists.counts[row] = NOT_LISTED
         has_room = samples <= MOST_LISTED and crossings <= MOST_RIDGES
-        if count >= 0 and has_room and max(reach, clear) > 0.0:
+        if has_room and max(reach, clear) > 0.0:
             lists.counts[row], lists.ridges[row] = samples, crossings
             lists.reach[row] = max(reach, clear)
             keep_pose(pair.rotation, pair.translation, lists.listed_at[row])
-            if slot.for_motion and count == 0:
+            if slot.for_motion and found.count == 0:
                 made = Listing(
                     reach, ahead, scratch.any_way, listed, places, ridges[:crossings], toward, rule.epsilon
                 )
                 clear = min(_left_of(geometry, pair, rule, made, samples, scratch), lists.reach[row])
-    return Found(count, bound, visits, _ended(count, rule), clear)
-
-
-@spliced_kernel
-def _ended(count, rule):
-    """How a search of samples ended: the limit cut it short only where more contacts could be listed."""
-    return BY_LIMIT if count == rule.limit < rule.most else COMPLETE
+    return Found(found.count, found.bound, found.visits, BY_LIMIT if rule.every > 1 else COMPLETE, clear)
 
 
 @spliced_kernel
@@ -215,8 +214,7 @@ def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     i, j, _, _, motion = moving
     room, count, visits, bound, exhausted = len(sink.contacts), found.count, found.visits, found.bound, found.exhausted
     moment, clear = 0.0, found.clear
-    # where contacts have to be chosen, our rule does it
-    ahead = Rule(rule.wanted, max(rule.most, rule.wanted), rule.epsilon, rule.near, rule.limit)
+    ahead = Rule(rule.wanted, rule.most, rule.epsilon, rule.near, 1)
     toward = scratch.toward
     is_settled = False
     if count == 0:

@@ -174,25 +174,23 @@ class _Out(NamedTuple):
 
 def part_interlocked(
     pools: Pools, table: SurfaceTable, step: Step, motion: Motion, work: tuple[Shapes, np.ndarray, Close],
-    rules: tuple[Rule, int], found: PairContacts, own: tuple[tuple[Scratch, ...], Crew],
+    rule: Rule, found: PairContacts, own: tuple[tuple[Scratch, ...], Crew],
 ) -> tuple[PairContacts, np.ndarray]:  # fmt: skip
     """`found` with contacts of whole surfaces, where a concave pair is deep or pierces; and which pairs' changed.
 
-    work: the Shapes, the pairs (m,) that `found` was searched for, and what is kept of pairs; rules: a Rule with
-    epsilon and near as shares of the smaller R, its limit that of each pair, and how many contacts all may have; own: a
-    Scratch for each thread of the Crew.
+    work: the Shapes, the pairs (m,) that `found` was searched for, and what is kept of pairs; rule: with epsilon and
+    near as shares of the smaller R; own: a Scratch for each thread of the Crew.
     """
-    (shapes, todo, kept), (rule, most), (scratch, crew) = work, rules, own
+    (shapes, todo, kept), (scratch, crew) = work, own
     offsets, bounds = begins_of(found.counts), found.bounds.copy()
     todo = _candidates(pools, (step, todo), shapes.is_convex, rule, bounds, scratch[0])
     if not len(todo) or rule.wanted > MOST_WANTED:
         return found._replace(bounds=bounds), todo
     surfaces = table.of(pools, np.unique(step.rows[step.pairs[todo]]))
-    p, wanted = len(step.pairs), min(rule.wanted, rule.limit)
-    spare = (most - len(found.gaps)) // len(todo)
+    p, wanted = len(step.pairs), rule.wanted
     sink = Sink(np.empty((len(todo) * wanted, 10)), np.empty((len(todo) * wanted, 5), np.int64))
     out = _Out(np.full(p, _LEAVE), bounds, np.ones(len(found.gaps), np.bool_), sink)
-    known = found, offsets, spare, kept
+    known = found, offsets, kept
     crew.share(_part_share, (pools, surfaces), (step, motion), todo, rule, known, out, own=scratch)
     changed = np.flatnonzero(out.counts >= 0)
     if not len(changed):
@@ -241,13 +239,12 @@ def _put_candidates(pools, pairs, is_convex, rule, bounds, scratch, out):
 def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
     """Process every pair of `todo` that is a thread's, see Crew.share.
 
-    known: PairContacts, their offsets, how many contacts more each pair may have, and a Close.
+    known: PairContacts, their offsets and a Close.
     """
     pools, surfaces = geometry
     step, motion = moving
-    found, offsets, spare, kept = known
+    found, offsets, kept = known
     thread, threads = part
-    wanted = min(rule.wanted, rule.limit)
     for turn in range(thread, len(todo), threads):
         p = todo[turn]
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
@@ -269,10 +266,9 @@ def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
         i, j = step.pairs[p, 0], step.pairs[p, 1]
         if not (motion.time > 0.0 and closing_speed(motion, i, j, 0.0, motion.time) * motion.time > tolerance):
             reach = tolerance
-        most = min(rule.limit, rows[1] - rows[0] + spare)
         is_sampled = pools.fragment.kind[pair.a] == TETRAHEDRA and pools.fragment.kind[pair.b] == TETRAHEDRA
-        its = Wanted(tolerance, moved, min(wanted, most)), most, is_sampled, along
-        begin, end = wanted * turn, wanted * turn + min(wanted, most)
+        its = Wanted(tolerance, moved, rule.wanted), is_sampled, along
+        begin, end = rule.wanted * turn, rule.wanted * (turn + 1)
         sink = Sink(out.found.contacts[begin:end], out.found.ids[begin:end])
         out.counts[p], out.bounds[p] = put_interlocked(
             (surfaces, kept.lists, slot, left, reach), pair, Moving(i, j, step.rotations, step.positions, motion), its,
@@ -331,11 +327,11 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     """Write contacts that part what overlaps of a Pair to a Sink; marks which of the known ones stay.
 
     surfaces: Surfaces, CloseTriangles, the pair's slot of these, how far it may move until its list ends [m], and the
-    reach [m] of a new one, 0: none. wanted: Wanted, how many contacts the pair may have, whether both are full of
-    samples, a direction along which the hulls overlap little. known: normals (c, 3), from a to b in the world, and gaps
+    reach [m] of a new one, 0: none. wanted: Wanted, whether both are full of samples, a direction along which the hulls
+    overlap little. known: normals (c, 3), from a to b in the world, and gaps
     (c,) [m] of all contacts, the pair's rows of these. Returns (contacts, -1: the pair stays as it is; bound [m]).
     """
-    wanted, most_contacts, is_sampled, hulls = wanted
+    wanted, is_sampled, hulls = wanted
     kept, surfaces, tolerance = surfaces, surfaces[0], wanted.near
     normals, gaps, (begin, end) = known
     found = end - begin
@@ -382,10 +378,6 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
         _mark_those_across(planes, rows, given, x, (gaps[begin:end], tolerance), stays[begin:end])
     else:
         stays[begin:end] = True
-    room = most_contacts - count
-    for c in range(begin, end):
-        stays[c] = stays[c] and room > 0
-        room -= stays[c]
     return count, bound
 
 

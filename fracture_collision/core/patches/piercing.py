@@ -19,7 +19,7 @@ from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.mesh.connected_pieces import root_of
 from fracture_collision.core.patches.facing_points import axes_along, box_around, seen_along
 from fracture_collision.core.patches.surface import Surface
-from fracture_collision.core.tree.sample_leaves import place_on_curve
+from fracture_collision.core.samples.sample_leaves import place_on_curve
 
 _OUTSIDE = -1  # of all overlaps
 BLOCK = 8  # triangles whose common box is looked at first

@@ -20,12 +20,12 @@ from fracture_collision.core.contacts.known_samples import ask_sample, home_tetr
 from fracture_collision.core.field.clearance import DEEP
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, sphere_test
 from fracture_collision.core.memory.compiled import spliced_kernel
-from fracture_collision.core.memory.pools import LEAF, SAMPLE
+from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.memory.prefetch import fetch
 from fracture_collision.core.memory.rotations import to_other
+from fracture_collision.core.samples.sample_leaves import sample_about_middle, worst_of_leaves, worst_of_samples
 from fracture_collision.core.search.depth_limits import most_depth
 from fracture_collision.core.separation.leaf_separation import half_spaces
-from fracture_collision.core.tree.sample_leaves import sample_about_middle, worst_of_leaves, worst_of_samples
 
 # Columns of scratch.candidate_ids: index into the leaves' entries; for a sample of the same body, a tetrahedron that it
 # was at in the unbroken body.
@@ -44,7 +44,7 @@ def find_candidates(pools, pair, side, mine, approach, within, is_home, scratch)
     planes = scratch.planes
     used = half_spaces(pools, pair, side.number, m, approach, planes)
     worst_of_leaves(mine, planes, used, worst)
-    first, middle = pools.fragment.tree_begin[side.own], scratch.point
+    first, middle = pools.fragment.sample_begin[side.own], scratch.point
     middle[0], middle[1], middle[2] = to_other(side.rotation, side.translation, m[0], m[1], m[2])
     points, ids = scratch.candidates, scratch.candidate_ids
     beyond, reaching, count = scratch.looked_at[3], scratch.leaves, 0
@@ -56,21 +56,20 @@ def find_candidates(pools, pair, side, mine, approach, within, is_home, scratch)
                 break
             if beyond[LEAF * turn + lane] > np.float32(0.0):
                 continue
-            # single precision first: it rejects most samples, and the tree's rows are far apart in memory
+            # single precision first: it rejects most samples, and the rows of the others are far apart in memory
             x, y, z = sample_about_middle(mine, k)
             x, y, z = to_other(side.rotation, middle, x, y, z)
             depth = most_depth(pools, other, x, y, z, approach.plane) + m[3]
             if -depth > within or not sphere_test(pools, other, -depth, x, y, z, within + m[3], scratch):
                 continue
-            fetch(pools.tree.spheres, first + mine.entries[k])
-            fetch(pools.tree.entries, first + mine.entries[k])
+            fetch(pools.samples.points, first + mine.entries[k])
             points[count, 0], points[count, 1], points[count, 2], points[count, 3] = x, y, z, depth
             ids[count, PLACE_OF] = k
             count += 1
     if is_home:
         shift = pools.fragment.tet_shift[other]
         for k in range(count):
-            sample = pools.tree.entries[first + mine.entries[ids[k, PLACE_OF]], SAMPLE]
+            sample = pools.samples.numbers[first + mine.entries[ids[k, PLACE_OF]]]
             ids[k, HOME] = home_tetrahedron(pools, other, sample)
         for k in range(count):
             fetch(pools.mesh.walls, ids[k, HOME])
@@ -81,15 +80,14 @@ def find_candidates(pools, pair, side, mine, approach, within, is_home, scratch)
 
 @spliced_kernel
 def ask(pools, side, rule, entry, looked, reached, count, scratch):
-    """Query a sample of a Side, row `entry` of TreePool, and store it as candidate number `count` if it is near.
+    """Query a sample of a Side, row `entry` of SamplePool, and store it as candidate number `count` if it is near.
 
     looked [m]: it is searched to at least that distance; reached: see bounded_probe. Returns (distance [m] from the
-    other, whether it is within the tolerance and so was stored). By our rule the probe stops at depth epsilon, and the
-    depth is computed later: minus infinity.
+    other, whether it is within the tolerance and so was stored). The probe stops at depth epsilon, and the depth is
+    computed later: minus infinity.
     """
     other, sample = side.other, placed(pools, side, entry)
-    deep = rule.epsilon if rule.most > 0 else math.inf
-    answer = ask_sample(pools, other, sample, looked, deep, reached, scratch)
+    answer = ask_sample(pools, other, sample, looked, rule.epsilon, reached, scratch)
     if answer.status != INSIDE and (answer.status == OUTSIDE or answer.distance >= rule.near):
         return answer.distance, False
     out = way_out_of_box(pools.fragment.box[other], sample.x, sample.y, sample.z)
@@ -104,7 +102,7 @@ def ask(pools, side, rule, entry, looked, reached, count, scratch):
 def keep_for_later(pools, side, rule, entry, where, count, scratch):
     """Store a sample as candidate number `count` if it may be deeper than epsilon; returns the new count.
 
-    entry: its row of TreePool; where: DEEP or UNKNOWN, see side_of_surface. Only at DEEP is it certainly deeper; else
+    entry: its row of SamplePool; where: DEEP or UNKNOWN, see side_of_surface. Only at DEEP is it certainly deeper; else
     it is UNASKED.
     """
     sample = placed(pools, side, entry)
@@ -124,7 +122,7 @@ def choose_contacts(pools, pair, rule, slack, found, sink, scratch):
     epsilon). Returns (contacts, missed depth bound [m]).
     """
     count, deep = found
-    if rule.most > 0 and deep > rule.wanted:
+    if deep > rule.wanted:
         chosen, bound = choose_deep(pools, pair, rule, slack, count, scratch)
     else:
         chosen, bound = choose(rule, count, scratch)

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel
-from fracture_collision.core.memory.kinds import SPHERE
 
 
 class PairContacts(NamedTuple):
@@ -31,16 +30,13 @@ class KeptAnswer(NamedTuple):
     index_of_row: np.ndarray  # (r,) int64: index into `poses` for a row of FragmentPool, -1: none
     poses: np.ndarray  # (n, 12) uint64: the bits of rotations and positions in the world
     pair_of_slot: np.ndarray  # (s,) int64: index into `contacts` of the pair with this slot of NeighbourLists, or -1
-    searched: np.ndarray  # (p,) int64: visits of the pair's last search if it has the contacts wanted, else 0
-    shares: np.ndarray  # (p,) int64: visit limit of each pair, see crowds.visit_shares
-    further: int  # visit limit of each pair after it has the contacts wanted
     offsets: np.ndarray  # (p + 1,) int64, of each pair's contacts
     contacts: PairContacts
 
 
 _NOBODY = np.zeros(0, np.int64)
 NOTHING_KEPT = KeptAnswer(
-    -1, _NOBODY, np.zeros((0, 12), np.uint64), _NOBODY, _NOBODY, _NOBODY, 0, _NOBODY,
+    -1, _NOBODY, np.zeros((0, 12), np.uint64), _NOBODY, _NOBODY,
     PairContacts(
         _NOBODY, np.zeros(0), _NOBODY, np.zeros(0, np.uint8), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)),
         np.zeros(0), np.zeros((0, 2), np.int64),
@@ -76,18 +72,15 @@ def pose_bits(rotations, positions):
 
 
 @kernel
-def pairs_in_place(kept, kinds, step, poses, slots, limits, out):
+def pairs_in_place(kept, step, poses, slots, out):
     """Find the pairs of a Step whose answer in `kept` still holds, and write their counts and bounds (p,) to `out`.
 
-    kinds (F,): of FragmentPool; poses (n, 12): pose_bits; slots: slots and known (p,) of with_pairs; limits: shares
-    (p,) and further, the visit limits of each pair, in all and after it has the contacts wanted. From then on, the
-    search handles a node at most twice per visit.
+    poses (n, 12): pose_bits; slots: slots and known (p,) of with_pairs.
 
     Returns (index in `kept` of each pair (p,), -1: absent, or the answer may differ; the pairs with -1 (m,)).
     """
     rows, pairs = step.rows, step.pairs
     slot_of, known = slots
-    shares, further = limits
     counts, bounds = out
     has_moved = np.ones(len(rows), np.bool_)
     for i in range(len(rows)):
@@ -103,17 +96,14 @@ def pairs_in_place(kept, kinds, step, poses, slots, limits, out):
         if slot_of[p] < 0 or not known[p] or slot_of[p] >= len(kept.pair_of_slot) or has_moved[i] or has_moved[j]:
             continue
         q = kept.pair_of_slot[slot_of[p]]
-        if q < 0 or kept.shares[q] != shares[p]:
-            continue
-        of_sphere = kinds[rows[i]] == SPHERE or kinds[rows[j]] == SPHERE
-        if further >= kept.further or (not of_sphere and 2 * kept.searched[q] + 2 <= further):
+        if q >= 0:
             stands_at[p], counts[p], bounds[p] = q, kept.contacts.counts[q], kept.contacts.bounds[q]
     return stands_at, np.flatnonzero(stands_at < 0)
 
 
 @kernel
-def gather_kept(kept, stands_at, offsets, out, searched):
-    """Copy the contacts of pairs from `kept` to WorldContacts, from offsets[p] on, and their `searched` (p,).
+def gather_kept(kept, stands_at, offsets, out):
+    """Copy the contacts of pairs from `kept` to WorldContacts, from offsets[p] on.
 
     stands_at (p,): of pairs_in_place; pairs with -1 are left out.
     """
@@ -123,7 +113,6 @@ def gather_kept(kept, stands_at, offsets, out, searched):
         q = stands_at[p]
         if q < 0:
             continue
-        searched[p] = kept.searched[q]
         for c in range(offsets[p + 1] - offsets[p]):
             o, k = offsets[p] + c, kept.offsets[q] + c
             for d in range(3):

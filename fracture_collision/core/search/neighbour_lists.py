@@ -39,10 +39,8 @@ FAST = 0.003
 LASTS, LEAST_REACH, MOST_REACH = 4.0, 0.005, 0.02
 # How far beyond the tolerance a listed sample's distance is searched, likewise in steps: more means fewer queries.
 AHEAD = 2.0
-# Values of `counts` without a list.
-NOT_LISTED = -1  # the pair moves too fast
-FULL = -2  # as many contacts as wanted, or more near samples than there is room for: the next step tries no list
-# Columns of `listed`: 2 (row of TreePool) + side; a tetrahedron of the other near it, -1: unknown.
+NOT_LISTED = -1  # value of `counts` without a list: the pair moves too fast, or has too many samples near
+# Columns of `listed`: 2 (row of SamplePool) + side; a tetrahedron of the other near it, -1: unknown.
 WHO, WHERE = 0, 1
 # Columns of `places`: a sample's position from the middle of its fragment's leaves; from the other's, in the other's
 # frame, at its last query [m], three each; how far it must move from there before it can be near [m].
@@ -90,7 +88,7 @@ class NeighbourLists(NamedTuple):
     poses: np.ndarray  # (room, 2, 12) float64: rotation (9), translation (3) [m] from a's frame to b's, and back
     listed_at: np.ndarray  # (room, 2, 12) float64: likewise when the list was made
     reach: np.ndarray  # (room,) float64 [m]: motion since then for which the list holds
-    counts: np.ndarray  # (room,) int32: listed samples, NOT_LISTED or FULL
+    counts: np.ndarray  # (room,) int32: listed samples, or NOT_LISTED
     listed: np.ndarray  # (room, MOST_LISTED, 2) int32: WHO, WHERE
     places: np.ndarray  # (room, MOST_LISTED, PLACE) float32 [m]
     ridges: np.ndarray  # (room,) int32: listed pairs of ridges

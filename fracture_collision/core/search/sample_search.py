@@ -1,14 +1,14 @@
 """All samples of a pair that may touch, found among the leaves of both fragments at once.
 
-For a pair with fewer contacts than wanted, algorithm 1 finds all samples within the detection tolerance, ordered by
-number: any search that finds them all gives the same bytes. This one computes a separating plane of the two hulls, or
-the nearest to one; tests all leaves (sample_leaves.py) against the other's half-space and box; and queries the samples
-of the leaves that reach in. Which of them are listed: contact_choice.py.
+The search computes a separating plane of the two hulls, or the nearest to one; tests all leaves (sample_leaves.py)
+against the other's half-space and box; and queries the samples of the leaves that reach in. Which of them are listed:
+contact_choice.py.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from fracture_collision.core.contacts.deep_choice import may_wait
 from fracture_collision.core.contacts.known_samples import query_seeds, rounding_slack, share_a_body, side_of
@@ -18,6 +18,7 @@ from fracture_collision.core.fracture.crack_seeds import find_seeds
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
 from fracture_collision.core.memory.kinds import SPHERE, is_bounded
 from fracture_collision.core.memory.rotations import rotated, to_other
+from fracture_collision.core.samples.sample_leaves import leaves_of, sample_about_middle
 from fracture_collision.core.search.candidates import (
     HOME,
     PLACE_OF,
@@ -26,6 +27,7 @@ from fracture_collision.core.search.candidates import (
     find_candidates,
     keep_for_later,
 )
+from fracture_collision.core.search.depth_limits import depth_limit
 from fracture_collision.core.search.neighbour_lists import (
     IN_PLACE,
     NEAR_LAST,
@@ -38,13 +40,27 @@ from fracture_collision.core.search.neighbour_lists import (
     may_be_near,
     see,
 )
-from fracture_collision.core.search.traversal import NO_PLANE
+from fracture_collision.core.search.work_limit import LEAST
 from fracture_collision.core.separation.leaf_separation import Approach, parting_plane_of_leaves
 from fracture_collision.core.separation.oriented_boxes import box_clearance
-from fracture_collision.core.tree.sample_leaves import leaves_of, sample_about_middle
 
 # If a pair has moved by less than this share of R, the search for a sample starts where the sample was.
 HOME_SHARE = 0.1
+# No plane is known behind which all of a fragment is; see Approach.
+NO_PLANE = (0.0, 0.0, 0.0, 0.0)
+
+
+class Searched(NamedTuple):
+    """What a search of a pair's samples found."""
+
+    count: int  # type: ignore[assignment]  # contacts
+    bound: float  # [m] missed depth bound
+    visits: int  # leaves and samples looked at
+    samples: int = 0  # within reach; more than a Listing has room for: the list is incomplete
+    crossings: int = 0  # pairs of ridges likewise
+    clear: float = 0.0  # [m] lower bound, beyond rounding, of the distance in excess of rule.near; 0: unknown
+
+
 @inlined_kernel
 def may_search(pools, a, b):
     """Whether `search_samples` supports a pair."""
@@ -66,12 +82,8 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
     """All contacts of a Pair without spheres, by a Rule, written to a Sink.
 
     listing: with listing.reach > 0, samples that may be within near + reach are listed, except samples that cannot come
-    near by listing.ways. By our rule, crossings of ridges are found too (`edges`: Ridges), and pairs that may cross are
-    listed. listing.toward is replaced by the direction found.
-
-    Returns (contacts, missed depth bound [m], visits, samples within reach, pairs of ridges likewise, clearance [m]),
-    as query_pair does, with leaves and samples counted as visits; more samples or ridges than `listing` has room for:
-    the list is incomplete. -1 contacts: there are as many as wanted by the paper's rule, and query_pair must be run.
+    near by listing.ways. Crossings of ridges are found too (`edges`: Ridges), and pairs that may cross are listed.
+    listing.toward is replaced by the direction found. Returns a Searched.
     """
     a, b, rotation, translation = pair
     fragment = pools.fragment
@@ -82,12 +94,12 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
     if bounded:
         parted = box_clearance(fragment.box[a], fragment.box[b], rotation[0], translation[0], within + slack)
         if parted > within + slack:
-            return 0, slack, 0, 0, 0, parted - rule.near - slack
+            return Searched(0, slack, 0, 0, 0, parted - rule.near - slack)
     apart = displacement(pools, pair, IN_PLACE) if one_body else math.inf
     if apart <= rule.epsilon:
-        count, visits = query_seeds(pools, pair, rule.wanted, rule.near, 0, sink, scratch)
+        count, visits = query_seeds(pools, pair, rule.wanted, rule.near, sink, scratch)
         if count == rule.wanted:
-            return count, apart + slack, visits, len(listing.samples) + 1, 0, 0.0
+            return Searched(count, apart + slack, visits, len(listing.samples) + 1, 0, 0.0)
         count = 0
     leaves = leaves_of(pools, a), leaves_of(pools, b)
     beyond_b, beyond_a = NO_PLANE, NO_PLANE
@@ -95,7 +107,8 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
         rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
         gap, beyond_b, beyond_a = _planes_between(pools, pair, leaves, within, rounding, listing.toward, scratch)
         if gap > within + rounding:
-            return 0, slack, visits, 0, 0, gap - rule.near - rounding
+            return Searched(0, slack, visits, 0, 0, gap - rule.near - rounding)
+    unasked = 0.0
     is_home = apart < HOME_SHARE * pools.fragment.radius[a]
     candidates, ids_of = scratch.candidates, scratch.candidate_ids
     for number in range(2):
@@ -106,12 +119,16 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
         approach = Approach(
             beyond_b if number == 0 else beyond_a, rule.near + slack, listing.reach, listing.ways[number]
         )
-        first, m = fragment.tree_begin[side.own], mine.middle
+        first, m = fragment.sample_begin[side.own], mine.middle
         at, may_be = -1, may_be_clear(pools, other)
         frame = frame_between(m, leaves[1 - number].middle, side.rotation, side.translation)
         reached, asked = find_candidates(pools, pair, side, mine, approach, within, is_home, scratch)
         visits += reached + asked
+        every = min(rule.every, max(asked // LEAST, 1))
         for turn in range(asked):
+            if turn % every:
+                unasked = max(unasked, min(candidates[turn, 3], depth_limit(pools, other)))
+                continue
             x, y, z, depth = candidates[turn, 0], candidates[turn, 1], candidates[turn, 2], candidates[turn, 3]
             k = ids_of[turn, PLACE_OF]
             if is_home:
@@ -131,8 +148,6 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
             if distance == 0.0 and not is_near:
                 distance, is_near = ask(pools, side, rule, entry, rule.near + listing.ahead, True, count, scratch)
                 count, deep = count + is_near, deep + (distance < -rule.epsilon)
-                if rule.most == 0 and count == rule.wanted:
-                    return -1, slack, visits, samples, 0, 0.0
             if listing.reach > 0.0:
                 if samples < len(listing.samples):
                     listing.samples[samples, WHO], listing.samples[samples, WHERE] = 2 * entry + number, at
@@ -142,13 +157,13 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
                     see(place, side.rotation, frame, seen, rule.near)
                 samples += 1
     crossings = 0
-    if rule.most > 0 and have_ridges(edges, a, b):
+    if have_ridges(edges, a, b):
         separation = Separation(beyond_b, beyond_a, apart, slack)
         count, deep, crossings = add_crossings(
             pools, edges, pair, rule, listing, separation, (count, deep), scratch
         )
     chosen, bound = choose_contacts(pools, pair, rule, slack, (count, deep), sink, scratch)
-    return chosen, bound, visits, samples, crossings, 0.0
+    return Searched(chosen, max(bound, unasked), visits, samples, crossings, 0.0)
 
 
 @inlined_kernel
@@ -172,11 +187,11 @@ def query_listed(pools, edges, pair, rule, listing, sink, scratch):
     """search_samples for a Pair whose Listing holds all samples that can be near, and all ridges that can cross.
 
     The distance of a sample that is not near is searched listing.ahead [m] beyond the detection tolerance, and its row
-    of places is renewed. Returns (contacts, missed depth bound [m], visits), -1 contacts as search_samples does.
+    of places is renewed. Returns a Searched without what a list needs.
     """
     a, b, rotation, translation = pair
     listed, places = listing.samples, listing.places
-    tree, count, deep, visits, near = pools.tree, 0, 0, 0, rule.near
+    points, count, deep, visits, near = pools.samples.points, 0, 0, 0, rule.near
     middles = pools.fragment.middle
     slack, one_body = rounding_slack(pools, a, b, translation), share_a_body(pools, a, b)
     side = side_of(pair, 0, one_body, slack)
@@ -197,7 +212,7 @@ def query_listed(pools, edges, pair, rule, listing, sink, scratch):
         if places[i, UNTIL] != NEAR_LAST:
             looked = near + listing.ahead
             if may_be_clear(pools, side.other):
-                c = tree.spheres[entry]
+                c = points[entry]
                 point = to_other(side.rotation, side.translation, c[0], c[1], c[2])
                 distance, listed[i, WHERE] = clearance(
                     pools, side.other, listed[i, WHERE], point, looked, slack, scratch
@@ -209,13 +224,11 @@ def query_listed(pools, edges, pair, rule, listing, sink, scratch):
             continue
         places[i, UNTIL] = NEAR_LAST
         count, deep = count + 1, deep + (distance < -rule.epsilon)
-        if rule.most == 0 and count == rule.wanted:
-            return -1, slack, visits
-    if rule.most > 0 and len(listing.ridges) > 0:
+    if len(listing.ridges) > 0:
         apart = displacement(pools, pair, IN_PLACE) if one_body else math.inf
         separation = Separation(NO_PLANE, NO_PLANE, apart, slack)
         count, deep = add_listed_crossings(
             pools, edges, pair, rule, listing, separation, (count, deep), scratch
         )
     chosen, bound = choose_contacts(pools, pair, rule, slack, (count, deep), sink, scratch)
-    return chosen, bound, visits
+    return Searched(chosen, bound, visits, 0, 0, 0.0)

@@ -1,4 +1,4 @@
-"""Working memory of one thread, for floods and traversals. Leftover content never affects an answer."""
+"""Working memory of one thread, for floods and searches. Leftover content never affects an answer."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from fracture_collision.core.edges.ridge_work import RidgeWork, make_ridge_work
 from fracture_collision.core.edges.ridges import Ridges
 from fracture_collision.core.memory.compiled import kernel
 from fracture_collision.core.memory.pair import Sink, make_sink
-from fracture_collision.core.memory.pools import LEAF, Pools
-from fracture_collision.core.mesh.surface_elements import MOST_CORNERS
+from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.mesh.triangle_field import STACK
 from fracture_collision.core.search.neighbour_lists import MOST_AHEAD, PLACE
 from fracture_collision.core.separation.approach import ANY_WAY, WAY
@@ -20,22 +19,8 @@ from fracture_collision.core.separation.approach import ANY_WAY, WAY
 # Limits for spheres: triangles of the other's surface within a sphere's reach, places among them where it touches.
 MOST_WITHIN = 8192
 MOST_PLACES = 1024
-# Capacity of the stack of triangles in a search between samples: one for each halving of the first. After this many
-# halvings no side is as long as a millionth of the first's.
-DEPTH_OF_STACK = 64
 # Behind each face of a tetrahedron, at most three planes separate fragments.
 ROOTS = 12
-
-
-class SurfaceWork(NamedTuple):
-    """Working memory of a search between samples (core/surfaces)."""
-
-    points: np.ndarray  # (MOST_CORNERS, 3) float64 [m]: corners of an element
-    stack: np.ndarray  # (DEPTH_OF_STACK, 9) float64 [m]: triangles
-    moved: np.ndarray  # (16,) float64 [m]
-    triangle: np.ndarray  # (16,) float64 [m]
-    found: np.ndarray  # (16,) float64 [m]
-    best: np.ndarray  # (16,) float64 [m]
 
 
 class Scratch(NamedTuple):
@@ -49,7 +34,7 @@ class Scratch(NamedTuple):
     heap_key: np.ndarray  # (tetrahedra,) float64: squared box distance [m2]
     heap_tet: np.ndarray  # (tetrahedra,) int32
     roots: np.ndarray  # (ROOTS,) float64: where a ray may change its owner within a tetrahedron
-    node_int: np.ndarray  # (nodes, 4) int32: columns of traversal.py, or of contact_choice.py
+    node_int: np.ndarray  # (nodes, 4) int32: columns of contact_choice.py or algorithm1.py
     node_float: np.ndarray  # (nodes, 4) float64 [m]: likewise, a point first
     queue: np.ndarray  # (2, 2 nodes) int32: rows of the two above
     spread: np.ndarray  # (2, nodes) float64: FAR [m2], MOST_DEPTH [m] of contact_choice.py
@@ -74,24 +59,24 @@ class Scratch(NamedTuple):
     ahead_ridges: np.ndarray  # (MOST_AHEAD, 2) int32: its pairs of ridges, likewise
     stack: np.ndarray  # (STACK,) int32: a descent through a triangle hierarchy
     within: np.ndarray  # (MOST_WITHIN,) int64: triangles within a sphere's reach (sphere_contacts.py)
-    places: Sink  # MOST_PLACES rows: contacts of a sphere that are not chosen yet; row 0: of traversal.query_pair
+    places: Sink  # MOST_PLACES rows: contacts of a sphere that are not chosen yet
     kept: Sink  # `nodes` rows: contacts of candidate samples, contact_choice.keep_answer
     ridge_work: RidgeWork
-    surface_work: SurfaceWork
     none_listed: np.ndarray  # (0, 2) int32, and (0, PLACE) float32: for searches without a list (neighbour_lists.py)
     no_places: np.ndarray
 
 
 def scratch_for(
-    pools: Pools, rows: np.ndarray, threads: int, before: tuple[Scratch, ...], edges: Ridges
-) -> tuple[Scratch, ...]:
+    tetrahedra: int, ranges: tuple[np.ndarray, np.ndarray], rows: np.ndarray, threads: int,
+    before: tuple[Scratch, ...], edges: Ridges,
+) -> tuple[Scratch, ...]:  # fmt: skip
     """`before` if it has room for all pairs of `rows` (n,), else a new Scratch per thread.
 
-    edges: Ridges of all rows, NO_RIDGES where their crossings are not searched.
+    tetrahedra: in all meshes; ranges: where the samples, or tree entries, of all rows begin and end (F,); edges: Ridges
+    of all rows, NO_RIDGES where their crossings are not searched.
     """
     crossings, ridges = (MOST_CROSSINGS, int(edges.count[rows].max(initial=0))) if len(edges.count) else (0, 0)
-    nodes = 2 * _largest_tree(pools.fragment.tree_begin, pools.fragment.tree_end, rows) + 2 + crossings
-    tetrahedra = len(pools.mesh.tetrahedra)
+    nodes = 2 * _largest(*ranges, rows) + 2 + crossings
     if len(before) == threads:
         one = before[0]
         if len(one.visited) >= tetrahedra and len(one.node_int) >= nodes and len(one.ridge_work.worst) >= ridges:
@@ -100,15 +85,15 @@ def scratch_for(
 
 
 @kernel
-def _largest_tree(tree_begin, tree_end, rows):
-    entries = 0
+def _largest(begin, end, rows):
+    most = 0
     for row in rows:
-        entries = max(entries, tree_end[row] - tree_begin[row])
-    return entries
+        most = max(most, end[row] - begin[row])
+    return most
 
 
 def make_scratch(tetrahedra: int, nodes: int, ridges: int = 0) -> Scratch:
-    """Working memory of one thread, for meshes, trees and ridges with up to these numbers of rows.
+    """Working memory of one thread, for meshes, samples or trees, and ridges with up to these numbers of rows.
 
     Small arrays are padded by 128 bytes that are never written: threads that share a cache line wait for each other's
     writes, and two threads run 1.7 instead of 1.9 times as fast as one.
@@ -147,9 +132,6 @@ def make_scratch(tetrahedra: int, nodes: int, ridges: int = 0) -> Scratch:
         places=make_sink(MOST_PLACES),
         kept=make_sink(nodes),
         ridge_work=make_ridge_work(ridges),
-        surface_work=SurfaceWork(
-            np.zeros((MOST_CORNERS, 3)), np.zeros((DEPTH_OF_STACK, 9)), *[np.zeros(16) for _ in range(4)]
-        ),
         none_listed=np.zeros((0, 2), dtype=np.int32),
         no_places=np.zeros((0, PLACE), dtype=np.float32),
     )

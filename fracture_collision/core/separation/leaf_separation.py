@@ -1,4 +1,12 @@
-"""Separating planes computed from leaves of samples, and half-spaces about them that bound where contacts can be."""
+"""The separating plane of two fragments' hulls, or the nearest to one, and half-spaces where contacts can be.
+
+Of the pairs whose boxes overlap in a pile, nineteen in twenty touch nowhere, and most of these have a separating plane.
+It is found by the algorithm of Gilbert, Johnson, Keerthi, "A fast procedure for computing the distance between complex
+objects in three-dimensional space" (1988), which walks over the difference of the hulls towards its point nearest to
+the origin, over the leaves of samples and in single precision. The extents of both fragments along the direction are
+those of all their samples, whose hull contains all of the border (corner_samples.py): the bound is valid even if GJK
+does not converge. A plane that does not separate the two still shows that most samples are beyond the other.
+"""
 
 from __future__ import annotations
 
@@ -10,26 +18,28 @@ import numpy as np
 from fracture_collision.core.memory.compiled import inlined_kernel
 from fracture_collision.core.memory.kinds import PLANE
 from fracture_collision.core.memory.rotations import rotated, to_other
+from fracture_collision.core.mesh.closest_point import closest_on_triangle
+from fracture_collision.core.samples.sample_leaves import farthest_sample, sample_about_middle
 from fracture_collision.core.separation.approach import nearer_along
-from fracture_collision.core.separation.hull_separation import (
-    MOST_STEPS,
-    SETTLED,
-    encloses_origin,
-    next_simplex,
-)
 from fracture_collision.core.separation.oriented_boxes import way_between
-from fracture_collision.core.tree.sample_leaves import farthest_sample, sample_about_middle
+
+# Most GJK steps. In a pile, of the pairs with a separating plane two thirds need one step, and all but one in two
+# hundred no more than this; touching pairs use all of them.
+MOST_STEPS = 12
+# GJK ends when the possible gain is less than this share of the distance.
+SETTLED = 1e-3
 
 
 @inlined_kernel
 def parting_plane_of_leaves(pools, pair, leaves, distance, toward, bounds, most_steps=MOST_STEPS):
-    """hull_separation.parting_plane over the leaves of a Pair, in single precision.
+    """The direction of greatest separation, or least overlap, of the hulls of a Pair that the search finds.
 
     leaves: Leaves of a and of b. toward (3,): initial direction in b's frame, zeros: unknown (neighbour_lists.Listing);
     replaced by the direction found. The search stops beyond `distance` [m]. bounds: working space, scratch.along.
     most_steps: 1: along `toward` only.
 
-    Returns ((x, y, z), low, high); the bounds may be off by the rounding given in both middles.
+    Returns ((x, y, z), low, high): a unit vector in b's frame; along it all of a is at `low` or above, all of b at
+    `high` or below [m]. These may be off by the rounding given in both middles.
     """
     a, b, rotation, translation = pair
     of_a, of_b = leaves
@@ -71,6 +81,51 @@ def parting_plane_of_leaves(pools, pair, leaves, distance, toward, bounds, most_
     if best == -math.inf:
         return found, -math.inf, math.inf
     return found, best_low, best_high
+
+
+@inlined_kernel
+def next_simplex(new, k0, k1, k2):
+    """Of the triangles formed by `new` and two of the corners k0, k1, k2, the one nearest to the origin.
+
+    Returns (its nearest point (x, y, z), its three corners).
+    """
+    least, x, y, z, _ = _nearest_to_origin(new, k0, k1)
+    v, dropped = (x, y, z), 2
+    nearer, x, y, z, _ = _nearest_to_origin(new, k1, k2)
+    if nearer < least:
+        least, v, dropped = nearer, (x, y, z), 0
+    nearer, x, y, z, _ = _nearest_to_origin(new, k0, k2)
+    if nearer < least:
+        v, dropped = (x, y, z), 1
+    if dropped == 0:
+        return v, new, k1, k2
+    if dropped == 1:
+        return v, k0, new, k2
+    return v, k0, k1, new
+
+
+@inlined_kernel
+def _nearest_to_origin(a, b, c):
+    return closest_on_triangle(0.0, 0.0, 0.0, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+
+
+@inlined_kernel
+def encloses_origin(new, k0, k1, k2):
+    """Whether the tetrahedron encloses the origin, known not to be beyond the face opposite its newest corner."""
+    return (
+        _same_side(new, k0, k1, k2) and _same_side(new, k1, k2, k0) and _same_side(new, k2, k0, k1)
+    )  # fmt: skip
+
+
+@inlined_kernel
+def _same_side(a, b, c, d):
+    """Whether the origin and d are on one side of the plane through a, b, c."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    wx, wy, wz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+    of_origin = nx * a[0] + ny * a[1] + nz * a[2]
+    of_d = nx * (a[0] - d[0]) + ny * (a[1] - d[1]) + nz * (a[2] - d[2])
+    return of_origin * of_d > 0.0
 
 
 class Approach(NamedTuple):

@@ -22,6 +22,7 @@ from fracture_collision.ros.nodes.recordings import RecordingFailed, Recordings
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.ros.nodes.uploaded_scenes import UPLOADS, UploadedScenes
 from fracture_collision.viewer.page.page_events import Ball, Drag, Handlers, InsideWanted, Ray, ServiceSliders, Upload
+from fracture_collision.world.settings import GLONDU2014
 
 SERVICE = "collision_node"
 GRAVITY = 9.81  # [m/s2] for which the aim of a thrown ball compensates
@@ -62,6 +63,7 @@ class PageCommands:
         self._set: list[ServiceSliders] = []  # by the user, since the last value that the service confirmed
         self._early: deque[Callable[[], object]] = deque(maxlen=MOST_EARLY)  # before the simulator was discovered
         self._choice = RepeatedRequest(self._hands.is_there)
+        self._lookahead = 0.0  # [s] the service's, the last one that was not 0
 
     def close(self) -> None:
         """Ends a recording, and the making of a scene."""
@@ -84,6 +86,10 @@ class PageCommands:
         self._choice.look()
         while self._early and self._hands.is_there():
             self._carry_out(self._early.popleft())
+
+    def hear_lookahead(self, seconds: float) -> None:
+        """Takes the lookahead that the service has now."""
+        self._lookahead = seconds or self._lookahead
 
     def confirm(self, sliders: ServiceSliders) -> bool:
         """Takes the values that the service has now; returns whether the user set them.
@@ -213,6 +219,10 @@ class PageCommands:
     def _set_service(self, sliders: ServiceSliders) -> None:
         self._set.append(sliders)
         wanted = [Parameter(name, value=value) for name, value in sliders._asdict().items()]
+        if sliders.method == GLONDU2014:  # it takes no lookahead
+            wanted.insert(0, Parameter("lookahead", value=0.0))
+        else:
+            wanted.append(Parameter("lookahead", value=self._lookahead))
         self._service.set_parameters(wanted).add_done_callback(self._all_taken)
 
     def _all_taken(self, done: Any) -> bool:

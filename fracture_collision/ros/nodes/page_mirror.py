@@ -2,8 +2,7 @@
 
 Contacts are a function of bodies, events, states and settings, all of which are on topics, so the copy has the state of
 the service. It is created when a switch is turned on and dropped when none is on. It runs in a thread of its own at a
-few steps a second, the newest only. It always uses the exact field and the shortest ways out: the reference with which
-the service's answers are compared.
+few steps a second, the newest only. What the service's answers are compared with: all samples, at exact depths.
 """
 
 from __future__ import annotations
@@ -20,25 +19,37 @@ from fracture_collision.ros.service.collision_run import CollisionRun
 from fracture_collision.ros.wire.conversion import to_record
 from fracture_collision.viewer.page.page_events import InsideWanted, PlaneWanted
 from fracture_collision.viewer.page.page_inside import InsideFigures, InsideView, PlanePicture, Spheres
-from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
-from fracture_collision.world.inspection import (
-    asked_with,
-    errors_of,
-    every_contact,
-    field_on_plane,
-    reach_along,
-    spheres_of_level,
-)
+from fracture_collision.world import CollisionWorld, InvalidMessage, PaperSettings, Settings, StatesAhead
+from fracture_collision.world.inspection import errors_of, every_contact, field_on_plane, reach_along, spheres_of_level
 from fracture_collision.world.present import Present
+from fracture_collision.world.settings import GLONDU2014
 
 INTERVAL = 0.2  # [s] between two views, at least
 BUSY_SHARE = 0.5  # of the time, at most: the service needs the processor too
 REMEMBERED = 4  # states for which answers may still come
 ENDING = 2.0  # [s] that a view may take when the page ends
-# Settings of an answer for which the reference has values of its own.
-ANSWER_SETTINGS = (
-    "contacts_per_pair", "selection", "deep_contacts_per_pair", "penetration_tolerance", "visit_budget", "field",
-)  # fmt: skip
+# What an answer is compared with: all samples, at the exact depths.
+TRUTH = Settings(method=GLONDU2014, paper=PaperSettings(field="exact"), threads=1)
+
+
+class _Copy:
+    """A world with the messages of the run, as far as they have been told."""
+
+    def __init__(self, run_id: int, settings: Settings) -> None:
+        self.run_id = run_id
+        self._run, self._fed = CollisionRun(run_id, settings), 0
+
+    def brought_to(self, job: _Job, settings: Settings) -> CollisionWorld:
+        """With the job's bodies and events, and these settings."""
+        if self._run.world.settings != settings:
+            self._run.world.change_settings(settings)
+        for said in job.log[self._fed : job.told]:
+            if isinstance(said, CollisionBody):
+                self._run.add_body(said)
+            else:
+                self._run.add_fracture(to_record(said))
+        self._fed = job.told
+        return self._run.world
 
 
 class _Job(NamedTuple):
@@ -72,8 +83,7 @@ class Mirror:
         self._exchange: tuple[Received, ContactConstraintArray, Settings] | None = None  # the newest, and its settings
         self._is_new = False
         # used by the thread only
-        self._run: CollisionRun | None = None
-        self._fed = 0  # entries of the run's log, applied
+        self._copies: dict[str, _Copy] = {}  # by method
         self._spheres: tuple[Any, Spheres] | None = None  # and what they were made for
         self._reach: tuple[Any, tuple[float, float]] | None = None  # likewise
         self._thread = threading.Thread(target=self._work, name="mirror", daemon=True)
@@ -194,7 +204,9 @@ class Mirror:
         )  # fmt: skip
 
     def _look(self, job: _Job) -> InsideView:
-        world = self._world(job)
+        tolerances = job.settings.penetration_tolerance, job.settings.detection_tolerance
+        truth = TRUTH._replace(penetration_tolerance=tolerances[0], detection_tolerance=tolerances[1])
+        world = self._world(job, "truth", truth)
         states, wanted = job.states.record, job.wanted
         here = world.present(states)
         spheres = self._spheres_of(job, world, here, wanted.level) if wanted.level is not None else None
@@ -203,26 +215,14 @@ class Mirror:
             self._reach = None
         figures = None
         if wanted.compares and (job.answer is not None or job.is_replayed):
-            figures = _figures(job, world, here)
+            figures = self._figures(job, world, here)
         return InsideView(spheres, plane, figures)
 
-    def _world(self, job: _Job) -> CollisionWorld:
-        """With the job's bodies and events applied."""
-        # contacts of a time to come collide with nothing now
-        truth = job.settings._replace(
-            field="exact", normals="nearest", lookahead=0.0, visit_budget=0, threads=1, neighbour_lists=False
-        )
-        if self._run is None or self._run.run_id != job.run_id:
-            self._run, self._fed = CollisionRun(job.run_id, truth), 0
-        if self._run.world.settings != truth:
-            self._run.world.change_settings(truth)
-        for said in job.log[self._fed : job.told]:
-            if isinstance(said, CollisionBody):
-                self._run.add_body(said)
-            else:
-                self._run.add_fracture(to_record(said))
-        self._fed = job.told
-        return self._run.world
+    def _world(self, job: _Job, of: str, settings: Settings) -> CollisionWorld:
+        """The truth, or a copy of the service, with the job's bodies and events."""
+        if of not in self._copies or self._copies[of].run_id != job.run_id:
+            self._copies[of] = _Copy(job.run_id, settings)
+        return self._copies[of].brought_to(job, settings)
 
     def _spheres_of(self, job: _Job, world: CollisionWorld, here: Present, level: int) -> Spheres:
         made_for = job.run_id, job.states.record.fracture_sequence, level, here.ids.tobytes()
@@ -244,24 +244,23 @@ class Mirror:
         return None if found is None else PlanePicture(*found)
 
 
-def _figures(job: _Job, world: CollisionWorld, here: Present) -> InsideFigures:
-    states, answer, collision_ms = job.states.record, job.answer, job.collision_ms
-    if answer is None or job.settings.lookahead:
-        # without the contacts of a time to come, the service's answer is this one
-        chosen = {name: getattr(job.settings, name) for name in ANSWER_SETTINGS}
-        answer = asked_with(world, states, **chosen)
-        if job.answer is None:
-            collision_ms = 1e3 * (world.last_timings["broad_phase"] + world.last_timings["narrow_phase"])
-    every = every_contact(world, states)
-    errors = errors_of(answer, every, world, world.present(states), job.settings.penetration_tolerance)
-    head = job.states.heading
-    return InsideFigures(
-        time=head.sec + 1e-9 * head.nanosec,
-        contacts=errors.listed,
-        colliding=errors.colliding,
-        unlisted_mm=1e3 * errors.unlisted,
-        promised_mm=1e3 * errors.promised,
-        too_shallow_mm=1e3 * errors.too_shallow,
-        collision_ms=collision_ms,
-        is_replayed=job.is_replayed,
-    )
+    def _figures(self, job: _Job, world: CollisionWorld, here: Present) -> InsideFigures:
+        states, answer, collision_ms = job.states.record, job.answer, job.collision_ms
+        if answer is None or job.settings.lookahead:
+            # without the contacts of a time to come, which collide with nothing now, the service's answer is this one
+            service = self._world(job, "service", job.settings._replace(lookahead=0.0, threads=1))
+            answer = service.contacts(states)
+            if job.answer is None:
+                collision_ms = 1e3 * (service.last_timings["broad_phase"] + service.last_timings["narrow_phase"])
+        every = every_contact(world, states)
+        errors = errors_of(answer, every, world, here, job.settings.penetration_tolerance)
+        head = job.states.heading
+        return InsideFigures(
+            time=head.sec + 1e-9 * head.nanosec,
+            contacts=errors.listed,
+            colliding=errors.colliding,
+            unlisted_mm=1e3 * errors.unlisted,
+            promised_mm=1e3 * errors.promised,
+            collision_ms=collision_ms,
+            is_replayed=job.is_replayed,
+        )

@@ -25,7 +25,7 @@ from fracture_collision.ros.fastdds.extras import make_executor
 from fracture_collision.ros.nodes.page_commands import PageCommands
 from fracture_collision.ros.nodes.page_mirror import Mirror
 from fracture_collision.ros.nodes.service_settings import ServiceSettings
-from fracture_collision.ros.processes.parameters import DESCRIPTIONS, Declaration, Range, declare_all
+from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record
@@ -37,7 +37,7 @@ from fracture_collision.viewer.page.page import Page
 from fracture_collision.viewer.page.page_events import Joint, ServiceSliders, SettingKnob, Start
 from fracture_collision.viewer.page.page_plots import Figures
 from fracture_collision.viewer.pictures.body_mesh import compile_mesh_kernels
-from fracture_collision.world.settings import FIELDS, RANGES
+from fracture_collision.world.settings import CHOICES, RANGES, meaning
 
 LOOKING = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 TOLD = frozenset({"collision_ms", "update_ms", "solver_ms", "ros_ms", "contacts", "fragments"})
@@ -48,9 +48,8 @@ LOOK_INTERVAL = 0.2  # [s] between two checks for the service and its settings, 
 LONG_STEP = 1.0  # [s] without a status: the simulator is within a step
 
 # The page's controls of settings, with the meanings and ranges that the service's parameters have.
-CHOICES = {"field": FIELDS}
 KNOBS = {
-    name: SettingKnob(DESCRIPTIONS[name], *RANGES.get(name, (0.0, 0.0)), CHOICES.get(name, ()))
+    name: SettingKnob(meaning(name), *RANGES.get(name, (0.0, 0.0)), CHOICES.get(name, ()))
     for name in ServiceSliders._fields
 }
 
@@ -227,6 +226,7 @@ class PageNode(Node):
 
     def _on_settings(self, settings: dict[str, Any]) -> None:
         self._mirror.hear_settings(settings)
+        self._commands.hear_lookahead(settings["lookahead"])
         has = ServiceSliders(**{name: settings[name] for name in ServiceSliders._fields})
         if not self._commands.confirm(has):
             self.page.show_service(has)

@@ -14,7 +14,7 @@ from rclpy.task import Future
 
 from fracture_collision.ros.fastdds.extras import is_nameless
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
-from fracture_collision.world import Settings
+from fracture_collision.world.settings import OF_SERVICE
 
 
 class ServiceSettings:
@@ -47,13 +47,13 @@ class ServiceSettings:
         self._request.look()
 
     def _ask(self) -> None:
-        wanted = GetParameters.Request(names=list(Settings._fields))
+        wanted = GetParameters.Request(names=list(OF_SERVICE))
         self._request.begin(lambda: self._client.call_async(wanted), self._on_answer)
 
     def _on_event(self, event: ParameterEvent) -> None:
         if self._asking is None or event.node != self._asking[1]:
             return
-        if any(parameter.name in Settings._fields for parameter in event.changed_parameters):
+        if any(parameter.name in OF_SERVICE for parameter in event.changed_parameters):
             self._known = None
             self._ask()  # a response on its way may predate the change
 
@@ -65,8 +65,8 @@ class ServiceSettings:
             self._node.get_logger().warning(f"cannot read the service's settings: {done.exception()}")
             return
         values = [parameter_value_to_python(value) for value in done.result().values]
-        if len(values) == len(Settings._fields) and None not in values:
-            self._on_settings(dict(zip(Settings._fields, values, strict=True)))
+        if len(values) == len(OF_SERVICE) and None not in values:
+            self._on_settings(dict(zip(OF_SERVICE, values, strict=True)))
 
     def _drop_client(self) -> None:
         self._request.drop()

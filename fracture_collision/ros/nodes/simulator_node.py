@@ -31,7 +31,7 @@ from fracture_collision.ros.wire.interfaces import COLLISION_NODE, Interface
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene
 from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.warm_up import compile_kernels
-from fracture_collision.world import Settings
+from fracture_collision.world.settings import EXACT, GLONDU2014
 
 # Repeated requests: the first pause covers a service that compiles a kernel, the last one a service started by hand.
 # After a new subscriber or publisher the pause is short at first: one of the two directions may not be matched yet.
@@ -43,13 +43,6 @@ PARAMETER_PATIENCE = 5.0  # [s] for a service that is there to take its lookahea
 LOOK_INTERVAL = 0.02  # [s] between two checks for new subscribers and publishers
 
 PROGRESS_INTERVAL = 0.1  # [s]
-
-# Of the service's setting `surfaces`: what this simulator expects, and what others change.
-EXPECTED_SURFACES = Settings().surfaces
-EFFECTS = {
-    "sampled": "bodies whose edges cross may pass through each other",
-    "searched": "it is meant for checks, and answers take 30 to 100 times as long",
-}
 
 PARAMETERS = (
     Declaration("scene", "plates", "name in config/scenes, or the path of a scene file"),
@@ -110,7 +103,7 @@ class SimulatorNode(Node):
         self._asked = (0, 0)
         self._contacts: ContactConstraintArray | None = None
         self._registry: FragmentRegistry | None = None
-        self._known_settings, self._surfaces = "", EXPECTED_SURFACES  # of the service, as its last registry has them
+        self._known_settings = ""  # of the service, as its last registry has them
         self._rows: list[tuple[float, ...]] = []
         self._progress_due = 0.0
 
@@ -284,14 +277,11 @@ class SimulatorNode(Node):
         if registry.settings == self._known_settings:
             return
         self._known_settings = registry.settings
-        surfaces = _surfaces_of(registry.settings)
-        if surfaces not in (EXPECTED_SURFACES, self._surfaces):
-            effect = EFFECTS.get(surfaces, "other contacts are listed")
+        if _method_of(registry.settings) == GLONDU2014:
             self.get_logger().warning(
-                f"the service has surfaces:={surfaces}, but this simulator expects {EXPECTED_SURFACES}: {effect}."
-                f" Set the service's parameter surfaces:={EXPECTED_SURFACES}"
+                f"the service has method:={GLONDU2014}, but this simulator expects {EXACT}: contacts are at samples"
+                " alone, so bodies whose edges cross may pass through each other, and so may fast ones"
             )
-        self._surfaces = surfaces
 
     def _tell_progress(self) -> None:
         if not self._tells_progress:
@@ -304,12 +294,12 @@ class SimulatorNode(Node):
             print(json.dumps(told | {"fragments": fragments}), flush=True)
 
 
-def _surfaces_of(settings: str) -> str:
-    """`surfaces` among the settings of a registry; those expected if it does not say."""
+def _method_of(settings: str) -> str:
+    """`method` among the settings of a registry; the one expected if it does not say."""
     try:
-        return str(json.loads(settings)["surfaces"])
+        return str(json.loads(settings)["method"])
     except (ValueError, LookupError, TypeError):  # another service than ours
-        return EXPECTED_SURFACES
+        return EXACT
 
 
 def derived_run_id(scene_name: str, seed: int) -> int:

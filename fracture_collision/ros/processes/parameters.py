@@ -1,4 +1,4 @@
-"""Parameters of nodes, and the service's settings as such: defaults and ranges from world/settings.py, meaning here."""
+"""Parameters of nodes, and the service's settings as such."""
 
 from __future__ import annotations
 
@@ -11,34 +11,7 @@ from rclpy.parameter import Parameter
 
 from fracture_collision.near_names import did_you_mean
 from fracture_collision.world import Settings
-from fracture_collision.world.settings import RANGES, Range, check_settings
-
-# for `ros2 param describe`
-DESCRIPTIONS: dict[str, str] = {
-    "contacts_per_pair": "contacts of a pair before only those deeper than the tolerance are listed",
-    "selection": "choice among many contacts: 'sufficient', spread out, or 'complete' (Glondu 2014, 5.2)",
-    "deep_contacts_per_pair": "contacts of a pair if more than contacts_per_pair are deep",
-    "penetration_tolerance": "penetrations up to this share of R may stay unlisted",
-    "detection_tolerance": "contacts are listed up to a gap of this share of R",
-    "lookahead": "[s] penetrations to come within this time are listed too; one time step",
-    "field": "depth inside a fragment: 'exact' (local flood) or 'averaged' (Glondu 2014, eq. 1-2)",
-    "surfaces": "where contacts are searched: 'sampled', 'edges' (crossing ones, too) or 'searched' (all over)",
-    "tree": "trees of new fragments: 'restructured' (Glondu 2014, 6.2), 'plain' (its [27]) or 'rebuilt'",
-    "normals": "surface of a contact's normal: 'facing' the sample, or 'nearest' (Glondu 2014, 4.4)",
-    "traversal": "order of visits: 'alternating' between parents (Glondu 2014, 5.3) or 'queue' (its [27])",
-    "neighbour_lists": "reuse samples and contacts of earlier steps; the answer does not depend on it",
-    "threads": "threads of the narrow phase; 0: one per core. The answer does not depend on it",
-    "visit_budget": "sphere tree nodes that a step may visit; 0: no limit",
-    "max_pairs": "states with more overlapping pairs of boxes are rejected",
-    "max_visits": "tree nodes of all pairs whose boxes mostly coincide; others get 25 times as many",
-    "max_further_visits": "tree nodes of pairs with contacts_per_pair contacts, for deeper ones",
-    "max_contacts_per_pair": "contacts listed of a pair, the deepest; at least contacts_per_pair",
-    "max_contacts": "contacts in one answer; pairs with the most contacts lose their shallowest",
-    "max_bodies": "further bodies are rejected",
-    "max_nodes": "bodies with further mesh nodes, of all bodies together, are rejected",
-    "max_fragments": "events with further fragments in one run are rejected",
-    "max_message_bytes": "longer messages are rejected",
-}
+from fracture_collision.world.settings import OF_SERVICE, RANGES, Range, check_settings, meaning
 
 
 class Declaration(NamedTuple):
@@ -52,8 +25,7 @@ class Declaration(NamedTuple):
 
 
 SETTINGS = tuple(
-    Declaration(name, default, DESCRIPTIONS[name], RANGES.get(name), fixed=False)
-    for name, default in Settings()._asdict().items()
+    Declaration(name, getattr(Settings(), name), meaning(name), RANGES.get(name), fixed=False) for name in OF_SERVICE
 )
 
 
@@ -114,7 +86,7 @@ class SettingsParameters:
         node.add_post_set_parameters_callback(self._take)
 
     def _changed(self, parameters: list[Parameter]) -> Settings:
-        return self.current._replace(**{p.name: p.value for p in parameters if p.name in Settings._fields})
+        return self.current._replace(**{p.name: p.value for p in parameters if p.name in OF_SERVICE})
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
         try:

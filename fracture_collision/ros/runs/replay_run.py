@@ -18,6 +18,7 @@ from fracture_collision.ros.processes.node_process import NodeProcess, free_doma
 from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.wire import qos
 from fracture_collision.world import Settings
+from fracture_collision.world.settings import OF_SERVICE
 
 FIRST_PAUSE = 1.0  # [s] before a request is repeated
 LONGEST_PAUSE = 8.0  # [s]
@@ -39,7 +40,7 @@ class OverDds:
 
     def __enter__(self) -> OverDds:
         domain_id = free_domain_id()
-        parameters = self._settings._asdict()
+        parameters = {name: getattr(self._settings, name) for name in OF_SERVICE}
         self._process = NodeProcess("collision_node", parameters, domain_id, self._log)
         try:
             self._context = own_context(domain_id)

@@ -22,6 +22,7 @@ from fracture_collision.ros.wire.cdr_records import serialize_record
 from fracture_collision.ros.wire.conversion import heading
 from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.world import Settings
+from fracture_collision.world.settings import values_of
 
 TOPICS = (qos.BODIES, qos.FRACTURE_EVENTS, qos.FRAGMENT_STATES, qos.CONTACT_CONSTRAINTS)
 # Bodies of one shape repeat each other's meshes: a chunk that holds them all compresses to one.
@@ -61,7 +62,7 @@ def record_scene(
             writer.write(f"/{topic.name}", data, stamp.sec * 10**9 + stamp.nanosec)
 
         # The number of threads changes no answer and depends on this machine.
-        writer.note(SETTINGS, json.dumps(settings._replace(threads=Settings().threads)._asdict()))
+        writer.note(SETTINGS, json.dumps(values_of(settings._replace(threads=Settings().threads))))
         for body in run.simulation.start_bodies():
             write(qos.BODIES, body, heading(0.0))
         for step in range(end):

@@ -27,6 +27,7 @@ from fracture_collision.ros.service.diagnostics import RefusalCounts, diagnostic
 from fracture_collision.ros.service.incoming import ALLOW_TAKEOVER, Incoming
 from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.world import InvalidMessage, Settings
+from fracture_collision.world.settings import values_of
 from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 
 # [s] After states were held for so long, bodies and events are requested again. They are latched and arrive by
@@ -196,7 +197,7 @@ class CollisionNode(Node):
                 run.world.change_settings(settings)
         changes = [
             f"{name}: {getattr(former, name)} -> {value}"
-            for name, value in settings._asdict().items()
+            for name, value in values_of(settings).items()
             if value != getattr(former, name)
         ]
         if any(run is not None and run.rejected_event for run in (self._run, self._next_run)):

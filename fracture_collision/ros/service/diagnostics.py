@@ -12,6 +12,7 @@ from rclpy.node import Node
 
 from fracture_collision.ros.service.collision_run import Refusal
 from fracture_collision.world import Settings
+from fracture_collision.world.settings import values_of
 
 # Times are reported for this many answers: some seconds of a running simulation.
 WINDOW = 1000
@@ -79,7 +80,7 @@ def settings_status(settings: Settings, since: str, without_effect: Sequence[str
     WARN if parameters were given `without_effect`, each described in words.
     """
     level = DiagnosticStatus.WARN if without_effect else DiagnosticStatus.OK
-    return status("settings", level, "; ".join((f"since {since}", *without_effect)), settings._asdict())
+    return status("settings", level, "; ".join((f"since {since}", *without_effect)), values_of(settings))
 
 
 def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:

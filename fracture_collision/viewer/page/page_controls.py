@@ -16,7 +16,7 @@ ArrowKey = Literal["arrowup", "arrowdown", "arrowleft", "arrowright"]
 ARROWS: tuple[tuple[str, ArrowKey], ...] = (
     ("up", "arrowup"), ("down", "arrowdown"), ("left", "arrowleft"), ("right", "arrowright"),
 )  # fmt: skip
-STEPS = {"penetration_tolerance": 0.0005, "visit_budget": 1000}  # of a number's arrows
+STEPS = {"penetration_tolerance": 0.0005}  # of a number's arrows
 SLOWEST, FASTEST_BALL, LARGEST_BALL = 0.02, 30.0, 0.15  # -, m/s, m
 SMALLEST_BALL = 0.01  # [m]
 

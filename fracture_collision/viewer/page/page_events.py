@@ -37,8 +37,7 @@ class ServiceSliders(NamedTuple):
 
     contacts_per_pair: int = 8
     penetration_tolerance: float = 0.002
-    field: str = "exact"
-    visit_budget: int = 0
+    method: str = "exact"
 
 
 class SettingKnob(NamedTuple):

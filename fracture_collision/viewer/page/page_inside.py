@@ -39,7 +39,7 @@ NOTHING = np.zeros((1, 1, 4), dtype=np.uint8)  # a picture
 
 PLOTS: tuple[Group, ...] = (
     ("contacts: listed, and all that collide", ("contacts", "colliding")),
-    ("unlisted penetration, mm", ("promised_mm", "unlisted_mm", "too_shallow_mm")),
+    ("unlisted penetration, mm", ("promised_mm", "unlisted_mm")),
 )
 
 
@@ -71,9 +71,8 @@ class InsideFigures(NamedTuple):
     time: float  # [s] simulated
     contacts: int  # listed
     colliding: int  # contacts without a limit
-    unlisted_mm: float  # deepest penetration that is not listed
+    unlisted_mm: float  # deepest penetration that is deeper than all that are listed of its pair
     promised_mm: float  # depth that the missed depth bounds allow to be unlisted
-    too_shallow_mm: float  # most by which a listed depth is understated
     collision_ms: float | None  # time of an answer
     is_replayed: bool = False  # computed by a copy of the service, because the paused scene makes no queries
 
@@ -312,7 +311,6 @@ def _words_of(view: InsideView, wanted: InsideWanted) -> list[str]:
         took = "" if figures.collision_ms is None else f"; collision {figures.collision_ms:.2f} ms"
         words.append(
             f"unlisted penetrations: up to **{figures.unlisted_mm:.3f} mm** deep, bound"
-            f" **{figures.promised_mm:.3f} mm**; listed depths too small by up to"
-            f" {figures.too_shallow_mm:.3f} mm{took}" + (" (by a copy of the service)" if figures.is_replayed else "")
+            f" **{figures.promised_mm:.3f} mm**{took}" + (" (by a copy of the service)" if figures.is_replayed else "")
         )
     return words

@@ -37,7 +37,6 @@ CURVES = {
     "ros_ms": ("ROS", "#7f7f7f"), "contacts": ("contacts listed", "#2ca02c"),
     "colliding": ("colliding points", "#8c564b"), "fragments": ("fragments", "#9467bd"),
     "promised_mm": ("bound", "#1f77b4"), "unlisted_mm": ("unlisted", "#d62728"),
-    "too_shallow_mm": ("listed too shallow", "#ff7f0e"),
 }  # fmt: skip
 PLOTS: tuple[Group, ...] = (
     ("milliseconds per step", ("collision_ms", "update_ms", "solver_ms", "ros_ms")),

@@ -14,8 +14,8 @@ from fracture_collision.viewer.page.page_plots import Figures
 SLOW = 0.5  # share of the requested pace
 PATIENCE = 2.0  # [s] of the wall clock that a simulation may be slow without a message
 SLOW_WORDS = (
-    "**The simulation is slow.** To speed it up, choose a smaller scene, start over, lower *contacts_per_pair* or set a"
-    " *visit_budget*."
+    "**The simulation is slow.** To speed it up, choose a smaller scene, start over, or lower"
+    " *contacts_per_pair*."
 )
 BUSY_WORDS = (
     "**The simulation is slow**, but its steps are not: the machine is busy. Close other programs, and other windows"

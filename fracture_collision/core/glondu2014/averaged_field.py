@@ -34,9 +34,9 @@ def propagated_distance(stored, px, py, pz):
 
 
 @inlined_kernel
-def whole_body_depth(mesh, k, x, y, z):
+def whole_body_depth(field, k, x, y, z):
     """Depth [m] in the unbroken body of mesh `k`, trilinear on its dense grid, and its gradient (depth, gx, gy, gz)."""
-    grid, dims = mesh.depth_grid[k], mesh.depth_grid_dims[k]
+    grid, dims = field.grid[k], field.grid_dims[k]
     cell = grid[3]
     u, v, w = (x - grid[0]) / cell, (y - grid[1]) / cell, (z - grid[2]) / cell
     i = min(max(int(math.floor(u)), 0), dims[0] - 2)
@@ -46,7 +46,7 @@ def whole_body_depth(mesh, k, x, y, z):
     a = dims[3] + (i * dims[1] + j) * dims[2] + l
     b = a + dims[1] * dims[2]
     n = dims[2]
-    g = mesh.grid_depth
+    g = field.grid_depth
     # along z, then y, then x; each difference is taken before the next axis is interpolated
     a0, a1 = g[a] + w * (g[a + 1] - g[a]), g[a + n] + w * (g[a + n + 1] - g[a + n])
     b0, b1 = g[b] + w * (g[b + 1] - g[b]), g[b + n] + w * (g[b + n + 1] - g[b + n])
@@ -58,7 +58,7 @@ def whole_body_depth(mesh, k, x, y, z):
 
 
 @inlined_kernel
-def averaged_penetration(pools, f, t, x, y, z):
+def averaged_penetration(pools, field, f, t, x, y, z):
     """(depth [m], nx, ny, nz, most [m]) of a point that fragment `f` of a broken body owns in tetrahedron `t`.
 
     depth >= 0, n the unit direction out of f: the witness is the point + depth n. In a tetrahedron crossed by cracks
@@ -74,7 +74,7 @@ def averaged_penetration(pools, f, t, x, y, z):
         v = mesh.tetrahedra[t, i]
         if body.node_fragment[v + shift] != f:
             continue
-        row = body.node_field[v + shift]
+        row = field.node_field[v + shift]
         sx, sy, sz = row[4] - x, row[5] - y, row[6] - z
         most2 = min(most2, sx * sx + sy * sy + sz * sz)
         px, py, pz = mesh.nodes[v, 0] - x, mesh.nodes[v, 1] - y, mesh.nodes[v, 2] - z
@@ -100,7 +100,7 @@ def averaged_penetration(pools, f, t, x, y, z):
             nx, ny, nz = nx / length, ny / length, nz / length
         else:
             nx, ny, nz = 0.0, 0.0, 1.0
-    cap, gx, gy, gz = whole_body_depth(mesh, pools.fragment.mesh[f], x, y, z)
+    cap, gx, gy, gz = whole_body_depth(field, pools.fragment.mesh[f], x, y, z)
     if cap < d:
         d = max(cap, 0.0)
         length = math.sqrt(gx * gx + gy * gy + gz * gz)

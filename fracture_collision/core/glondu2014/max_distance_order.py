@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.glondu2014.point_hierarchy import build_point_hierarchy, greatest_distance_squared
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
 from fracture_collision.core.mesh.closest_point import box_distance_squared
-from fracture_collision.core.tree.point_hierarchy import build_point_hierarchy, greatest_distance_squared
 
 
 class MaxDistanceOrder(NamedTuple):

@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision import grouping
+from fracture_collision.core.glondu2014.paper_pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
+from fracture_collision.core.glondu2014.sphere_tree_deal import deal_tree, find_parents
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
-from fracture_collision.core.memory.pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
-from fracture_collision.core.tree.sphere_tree_deal import deal_tree, find_parents
 
 _grouped = kernel(grouping.grouped)
 NONE = -1

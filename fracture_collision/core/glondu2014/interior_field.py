@@ -10,15 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.bodies.pool_tables import PoolTables
 from fracture_collision.core.memory.compiled import query_kernel
-from fracture_collision.core.memory.pools import ALTERNATING, EXACT, NEAREST
 from fracture_collision.core.mesh.tet_mesh import TetMesh
 from fracture_collision.core.mesh.triangle_field import (
     STACK,
-    append_triangle_mesh,
     build_triangle_mesh,
     triangle_distance,
+    triangle_pool,
 )
 from fracture_collision.grouping import begins_of
 
@@ -31,7 +29,7 @@ CELLS_PER_EDGE = 3
 class InteriorField(NamedTuple):
     """The averaged field of an unbroken body at its n nodes and on a grid."""
 
-    node_field: np.ndarray  # (n, 7) float64 [m], as BodyPool.node_field
+    node_field: np.ndarray  # (n, 7) float64 [m], as FieldPool.node_field
     origin: np.ndarray  # (3,) float64 [m] first grid point
     cell: float  # [m]
     dims: np.ndarray  # (3,) int32 grid points along x, y, z
@@ -45,9 +43,7 @@ def make_interior_field(mesh: TetMesh) -> InteriorField:
 
     For points deep inside, a hierarchy over its surface is faster than a flood.
     """
-    tables = PoolTables(ALTERNATING, EXACT, NEAREST)
-    append_triangle_mesh(tables.triangles, build_triangle_mesh(mesh.nodes, mesh.surface))
-    surface, stack = tables.pools.triangles, np.empty(STACK, np.int32)
+    surface, stack = triangle_pool(build_triangle_mesh(mesh.nodes, mesh.surface)), np.empty(STACK, np.int32)
     radius = 0.5 * float((mesh.box[3:] - mesh.box[:3]).max())
     node_field = np.zeros((len(mesh.nodes), 7))
     _measure_nodes(surface, radius, mesh.nodes, mesh.on_surface, mesh.node_normals, node_field, stack)

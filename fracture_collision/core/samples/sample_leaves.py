@@ -1,9 +1,9 @@
 """The samples of a fragment's surface for searching: eight per leaf, in the order of a space-filling curve.
 
-A sphere tree (Glondu 2014, section 5.1) orders the samples; to find all samples that may touch another fragment it
-must be walked node by node, and it includes interior nodes. Here all leaves of a fragment are tested at once, in
-single-precision loops that vectorize eight wide: which boxes reach into a few half-spaces, and how far they reach along
-a direction. The results are used for culling only, never returned, with a margin for rounding.
+A sphere tree (Glondu 2014, section 5.1; core/glondu2014) has to be walked node by node to find all samples that may
+touch another fragment. Here all leaves of a fragment are tested at once, in single-precision loops that vectorize eight
+wide: which boxes reach into a few half-spaces, and how far they reach along a direction. The results are used for
+culling only, never returned, with a margin for rounding.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import inlined_kernel, kernel
-from fracture_collision.core.memory.pools import LEAF, LEAF_VALUES, OWN_SAMPLE, SAMPLE_ROUNDING, SIZE, SURFACE
+from fracture_collision.core.memory.pools import LEAF, LEAF_VALUES, SAMPLE_ROUNDING
 
 # Cells of the curve along each side of a fragment's box.
 CURVE = 1024
@@ -25,8 +25,14 @@ class Leaves(NamedTuple):
     """The n leaves of one fragment."""
 
     values: np.ndarray  # (LEAF_VALUES n,) float32 [m] from `middle`: x y z of lower corners, of upper ones, of samples
-    entries: np.ndarray  # (LEAF n,) int32 entry of the fragment's tree, -1: no sample
+    entries: np.ndarray  # (LEAF n,) int32 index among the fragment's samples, -1: none
     middle: np.ndarray  # (4,) float64 [m]: x y z in the body frame; rounding error bound along a unit vector
+
+
+@inlined_kernel
+def leaf_count(samples):
+    """Number of leaves of so many samples."""
+    return (samples + LEAF - 1) // LEAF
 
 
 @inlined_kernel
@@ -40,66 +46,47 @@ def leaves_of(pools, f):
     )
 
 
-@kernel
-def count_leaves(entries, begins):
-    """Number of leaves (n,) int64 of each tree with entries begins[i] .. begins[i + 1] - 1, rows of TreePool."""
-    counts = np.zeros(len(begins) - 1, np.int64)
-    for f in range(len(counts)):
-        samples = 0
-        for i in range(begins[f], begins[f + 1]):
-            samples += _is_sample(entries, i)
-        counts[f] = (samples + LEAF - 1) // LEAF
-    return counts
-
-
 def most_leaves(leaves: int, new_samples: int, fragments: int) -> int:
     """Upper bound of the leaves of all fragments of a broken fragment with `leaves` leaves."""
     return leaves + new_samples // LEAF + fragments + 1
 
 
-@inlined_kernel
-def _is_sample(entries, i):
-    """Whether an entry is a surface leaf; each sample is exactly one leaf of its tree."""
-    return entries[i, SIZE] == 1 and entries[i, SURFACE] == OWN_SAMPLE
-
-
 @kernel
-def fill_leaves(spheres, entries, begins, counts, values, out_entries, middles):
-    """Write the leaves of these trees consecutively: `values` (leaves, LEAF_VALUES), `out_entries` (leaves, LEAF).
+def fill_leaves(points, begins, values, entries, middles):
+    """Write the leaves of fragments with samples begins[f] .. begins[f + 1] - 1 of `points` (S, 3), consecutively.
 
-    counts (n,): count_leaves; middles (n, 4): see Leaves.
+    values (leaves, LEAF_VALUES), entries (leaves, LEAF): leaf_count each; middles (n, 4): see Leaves.
     """
-    most = LEAF * counts.max() if len(counts) else 0
+    most = 0
+    for f in range(len(begins) - 1):
+        most = max(most, begins[f + 1] - begins[f])
     rows, places = np.empty((2, most), np.int32), np.empty((2, most), np.uint32)
     buckets = np.empty(1 << _BITS_A_PASS, np.int32)
     first = 0
-    for f in range(len(counts)):
-        used = 0
-        for i in range(begins[f], begins[f + 1]):
-            if _is_sample(entries, i):
-                rows[0, used] = i
-                used += 1
+    for f in range(len(begins) - 1):
+        used = begins[f + 1] - begins[f]
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for k in range(used):
+            rows[0, k] = begins[f] + k
             for d in range(3):
-                low[d], high[d] = min(low[d], spheres[rows[0, k], d]), max(high[d], spheres[rows[0, k], d])
+                low[d], high[d] = min(low[d], points[rows[0, k], d]), max(high[d], points[rows[0, k], d])
         middles[f] = 0.0
         if used:
             for d in range(3):
                 middles[f, d] = 0.5 * (low[d] + high[d])
                 middles[f, 3] += SAMPLE_ROUNDING * (high[d] - low[d])
         for k in range(used):
-            places[0, k] = place_on_curve(spheres[rows[0, k]], low, high)
+            places[0, k] = place_on_curve(points[rows[0, k]], low, high)
         _sort_by_place(rows, places, used, buckets)
-        n = counts[f]
+        n = leaf_count(used)
         flat = values[first : first + n].reshape(LEAF_VALUES * n)
-        own_entries = out_entries[first : first + n].reshape(LEAF * n)
+        own_entries = entries[first : first + n].reshape(LEAF * n)
         for k in range(LEAF * n):
             row = rows[0, min(k, used - 1)]
             own_entries[k] = row - begins[f] if k < used else -1
             leaf = k // LEAF
             for d in range(3):
-                v = np.float32(spheres[row, d] - middles[f, d])
+                v = np.float32(points[row, d] - middles[f, d])
                 flat[6 * n + LEAF * n * d + k] = v
                 if k % LEAF == 0:
                     flat[n * d + leaf] = flat[n * (3 + d) + leaf] = v

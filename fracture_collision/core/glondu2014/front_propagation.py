@@ -14,7 +14,6 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.field.averaged_field import propagated_distance
 from fracture_collision.core.field.flood import (
     EVERYTHING,
     NO_SOURCE,
@@ -23,16 +22,17 @@ from fracture_collision.core.field.flood import (
     outward_direction,
 )
 from fracture_collision.core.fracture.surface_rows import Broken
+from fracture_collision.core.glondu2014.averaged_field import propagated_distance
 from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.pools import Pools
-from fracture_collision.core.mesh.sample_numbers import FIRST_NODE
+from fracture_collision.core.mesh.sample_numbers import FIRST_NODE, NODES
 
 # A distance counts as shorter by more than this share of R only: two nodes must not exchange rounding errors forever.
 SHORTER = 1e-12
 
 
 @query_kernel
-def measure_at_cracks(pools, broken, tets, first_plane, in_front, front):
+def measure_at_cracks(pools, node_field, broken, tets, first_plane, in_front, front):
     """Measure the nodes of the new fragments in those of `tets` that planes from row `first_plane` on cut.
 
     Lowers their stored distances to those of their fragment's surface in the tetrahedron. Marks them in `in_front` (n,)
@@ -60,7 +60,7 @@ def measure_at_cracks(pools, broken, tets, first_plane, in_front, front):
             best = nearest_in_tetrahedron(pools, f, t, x, y, z, EVERYTHING, nothing_within(math.inf))
             if best[5] == NO_SOURCE:
                 continue
-            row = body.node_field[v + node_shift]
+            row = node_field[v + node_shift]
             sx, sy, sz = row[4] - x, row[5] - y, row[6] - z
             if best[0] < sx * sx + sy * sy + sz * sz:
                 row[4], row[5], row[6] = best[1], best[2], best[3]
@@ -156,17 +156,18 @@ def _average_of_front(body, neighbours, in_front, p, value):
 
 
 def update_averaged_field(
-    pools: Pools, nodes: np.ndarray, neighbours: tuple[np.ndarray, np.ndarray], broken: Broken, touched: np.ndarray,
-    first_plane: int,
+    pools: Pools, node_field: np.ndarray, neighbours: tuple[np.ndarray, np.ndarray], broken: Broken,
+    touched: np.ndarray, first_plane: int,
 ) -> None:  # fmt: skip
     """Update the field of the fragments that planes from row `first_plane` on have made (Glondu 2014, 4.2).
 
-    nodes (n, 3) [m]: of the body's mesh; neighbours: of its InteriorField, where each node's begin and all of them;
-    touched (m,): rows of the tetrahedra that the fracture affects.
+    node_field: of FieldPool; neighbours: of the body's InteriorField, where each node's begin and all of them; touched
+    (m,): rows of the tetrahedra that the fracture affects.
     """
-    n, first_node = len(nodes), int(pools.mesh.first[broken.mesh, FIRST_NODE])
+    first_node, n = (int(pools.mesh.first[broken.mesh, column]) for column in (FIRST_NODE, NODES))
     in_front, front = np.zeros(n, np.uint8), np.empty(n, np.int32)
-    used = measure_at_cracks(pools, broken, touched, first_plane, in_front, front)
+    used = measure_at_cracks(pools, node_field, broken, touched, first_plane, in_front, front)
     own = slice(first_node + broken.node_shift, first_node + broken.node_shift + n)
-    body = nodes, pools.body.node_fragment[own], pools.body.node_field[own]
+    nodes = pools.mesh.nodes[first_node : first_node + n]
+    body = nodes, pools.body.node_fragment[own], node_field[own]
     propagate_fronts(body, neighbours, in_front, front, used, SHORTER * pools.fragment.radius[broken.first])

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.glondu2014.max_distance_order import MaxDistanceOrder, max_distance_order
+from fracture_collision.core.glondu2014.paper_pools import NONE_BELOW, OWN_SAMPLE
 from fracture_collision.core.memory.compiled import kernel
-from fracture_collision.core.memory.pools import NONE_BELOW, OWN_SAMPLE
-from fracture_collision.core.tree.max_distance_order import MaxDistanceOrder, max_distance_order
 from fracture_collision.portable_math import lengths
 
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.glondu2014.paper_pools import SIZE
 from fracture_collision.core.memory.compiled import kernel, query_kernel
-from fracture_collision.core.memory.pools import SIZE
 
 BATCH = 64  # fragments per walk: one bit each of an unsigned 64-bit mask
 UNKNOWN, MIXED = -2, -1
