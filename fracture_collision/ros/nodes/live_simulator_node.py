@@ -25,7 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fracture_collision.msg import HandTarget, SimulationStatus, ThrowBall
 from fracture_collision.ros.nodes.arm_publisher import ArmPublisher
-from fracture_collision.ros.nodes.simulator_node import SimulatorNode, derived_run_id, work
+from fracture_collision.ros.nodes.simulator_node import SimulatorNode, random_run_id, work
 from fracture_collision.ros.nodes.uploaded_scenes import UPLOADS, scene_file
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare
 from fracture_collision.ros.processes.process import Fatal, run_node
@@ -157,7 +157,7 @@ class LiveSimulatorNode(SimulatorNode):
         self._next = None
         self._live.close()
         make()
-        self._run_id = derived_run_id(f"{self._scene.name}/{time.time_ns()}", self._seed)
+        self._run_id = random_run_id()
         self._registry = None  # of the run before
         self._commands.clear()
         self._reached.clear()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import gc
-import hashlib
 import json
+import secrets
 import sys
 import time
 from pathlib import Path
@@ -54,7 +54,7 @@ EFFECTS = {
 PARAMETERS = (
     Declaration("scene", "plates", "name in config/scenes, or the path of a scene file"),
     Declaration("seed", -1, "seed of the fracture patterns; -1: the scene's own", Range(-1, 2**62)),
-    Declaration("run_id", 0, "run_id of all messages; 0: from scene and seed", Range(0, 2**62)),
+    Declaration("run_id", 0, "run_id of all messages; 0: drawn at random", Range(0, 2**62)),
     Declaration("looks_ahead", True, "set the service's `lookahead` to the scene's time step, and count on it"),
     Declaration(
         "wait_for_subscribers", 1, "subscribers of states, and of contacts, before the first step", Range(0, 100)
@@ -88,8 +88,7 @@ class SimulatorNode(Node):
             raise Fatal(str(error)) from error
         self._simulation = self._make_simulation(scene, scene.seed if seed < 0 else seed)
         self._total_steps = scene.step_count
-        # The same scene and seed give the same run, so they may well share an id: recordings compare byte for byte.
-        self._run_id = run_id or derived_run_id(scene.name, scene.seed if seed < 0 else seed)
+        self._run_id = run_id or random_run_id()
 
         self._bodies, self._events = self._open_log()
         self._neighbours = make_neighbours(self)
@@ -312,10 +311,9 @@ def _surfaces_of(settings: str) -> str:
         return EXPECTED_SURFACES
 
 
-def derived_run_id(scene_name: str, seed: int) -> int:
-    """A run id of 62 bits for a scene and a seed."""
-    digest = hashlib.sha256(f"{scene_name}/{seed}".encode()).digest()
-    return int.from_bytes(digest[:8], "big") >> 2 or 1
+def random_run_id() -> int:
+    """Of 62 bits, not 0."""
+    return secrets.randbelow(2**62 - 1) + 1
 
 
 def work(node: SimulatorNode) -> None:
