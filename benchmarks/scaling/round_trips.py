@@ -25,14 +25,13 @@ from benchmarks.scaling.growth import Progress, silent
 from benchmarks.scaling.piles import Pile, make_pile
 from fracture_collision.cdr import Received
 from fracture_collision.records import FragmentStates
-from fracture_collision.ros.fastdds.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id, loopback_environment
 from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS
 from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.wire.conversion import heading, to_message
+from fracture_collision.ros.wire.step_publisher import StepPublisher
 
 FRAGMENTS = 166  # as in drop_bunnies at its end
 PRESSED = 0.982  # gives about 900 contacts with this many fragments
@@ -54,7 +53,7 @@ class RoundTripRow(NamedTuple):
     beyond_worst: float
     beyond_empty: float  # the same for states without fragments, interleaved: the part independent of size
     in_service: float  # part of `beyond`: converting contacts to a message and publishing it
-    acknowledgement: float  # before all that: until all subscribers acknowledged the previous states
+    acknowledgement: float  # before all that: until late subscribers acknowledged earlier states
     serialization: float  # states and contacts, each from record to bytes and back, in this process
     answer_bytes: int
     beyond_plain: float  # the same bytes, there and back, between two plain rclpy nodes that do nothing else
@@ -79,13 +78,13 @@ class _Simulator:
     def __init__(self, domain_id: int) -> None:
         self._context = own_context(domain_id)
         self._node = rclpy.create_node("simulator_node", context=self._context)
-        self._executor = PromptExecutor(context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._bodies, self._events = (
             self._node.create_publisher(topic.message_class, topic.name, topic.qos)
             for topic in (qos.BODIES, qos.FRACTURE_EVENTS)
         )
-        self._states = AcknowledgedPublisher(self._node, qos.FRAGMENT_STATES, answerers=("collision_node",))
+        self._states = StepPublisher(self._node, qos.FRAGMENT_STATES)
         topic = qos.CONTACT_CONSTRAINTS
         self._node.create_subscription(topic.message_class, topic.name, self._take, topic.qos, raw=True)
         self.answer: Received | None = None
@@ -117,7 +116,7 @@ class _Simulator:
         data = serialize_record(states, heading(0.005 * states.step), RUN_ID)
         self.answer = None
         began = time.perf_counter()
-        self._states.settle()
+        self._states.await_room()
         published = time.perf_counter()
         self._states.publish(data)
         deadline = time.monotonic() + PATIENCE

@@ -14,6 +14,7 @@ from mcap.records import Metadata
 from fracture_collision.bag import metadata
 from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.mcap_file import McapFile
+from fracture_collision.cdr import offset_of_run_id
 
 __all__ = ["BagError", "BagMessage", "RecordedSettings", "mcap_files", "mcap_files_without_metadata", "message_counts", 
            "missing_words", "read_messages", "recorded_settings", "settings_values", "topic_digest",
@@ -27,9 +28,6 @@ NOTES = "fracture_collision"  # the name of the MCAP metadata records with the s
 _ROSBAG2 = "rosbag2"  # likewise of rosbag2's own
 
 LARGEST_SETTINGS = 1 << 16  # [bytes]
-
-# Offsets in a serialized message: its body, from which alignment counts, and the header's frame_id after the stamp.
-_ENCAPSULATION, _FRAME_ID = 4, 12
 
 
 class BagMessage(NamedTuple):
@@ -173,7 +171,5 @@ def topic_digest(bag: Path | str, topic: str) -> str:
 
 def without_run_id(data: bytes) -> bytes:
     """A serialized message that begins with `header` and `run_id`, with a run id of 0."""
-    length = int.from_bytes(data[_FRAME_ID : _FRAME_ID + 4], "little")
-    at = _FRAME_ID + 4 + length
-    at += -(at - _ENCAPSULATION) % 8
+    at = offset_of_run_id(data)
     return data[:at] + bytes(8) + data[at + 8 :]

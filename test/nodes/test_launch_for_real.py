@@ -33,7 +33,7 @@ service.include_launch_description(LaunchDescription([described]))
 sys.exit(service.run())
 """
 STARTED = re.compile(r"\[(\w+)-\d+\]: process started with pid \[(\d+)\]")
-BEGINS = "begins; publisher: "
+BEGINS = " begins"
 
 
 class Launched:

@@ -12,9 +12,10 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 
-from fracture_collision.ros.fastdds.extras import is_nameless
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.world import Settings
+
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rmw's name for a node of which it has discovered publishers only
 
 
 class ServiceSettings:
@@ -33,7 +34,7 @@ class ServiceSettings:
     def look(self) -> None:
         """Sends a request to a publisher that has not responded yet. Must be called regularly."""
         publishers = self._node.get_publishers_info_by_topic(self._topic)
-        if not publishers or is_nameless(publishers[0]):
+        if not publishers or publishers[0].node_name.startswith(_UNKNOWN):
             return
         gid = bytes(publishers[0].endpoint_gid)
         name = f"{publishers[0].node_namespace.rstrip('/')}/{publishers[0].node_name}"

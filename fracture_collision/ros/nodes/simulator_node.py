@@ -12,14 +12,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 from rcl_interfaces.srv import SetParameters
-from rclpy.executors import Executor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.task import Future
 
 from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
-from fracture_collision.ros.fastdds.extras import AcknowledgedPublisher, make_executor, make_neighbours
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
@@ -28,6 +27,7 @@ from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.wire.conversion import header_of, heading, to_message, to_record
 from fracture_collision.ros.wire.interfaces import COLLISION_NODE, Interface
+from fracture_collision.ros.wire.step_publisher import StepPublisher
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene
 from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.warm_up import compile_kernels
@@ -41,6 +41,9 @@ LONGEST_PAUSE = 15.0  # [s]
 PAUSE_FOR_NEWCOMERS = 0.05  # [s]
 PARAMETER_PATIENCE = 5.0  # [s] for a service that is there to take its lookahead
 LOOK_INTERVAL = 0.02  # [s] between two checks for new subscribers and publishers
+
+# [s] Two announcements of each participant on this machine (config/this_machine.xml).
+DISCOVERY = 1.0
 
 PROGRESS_INTERVAL = 0.1  # [s]
 
@@ -91,8 +94,8 @@ class SimulatorNode(Node):
         self._run_id = run_id or random_run_id()
 
         self._bodies, self._events = self._open_log()
-        self._neighbours = make_neighbours(self)
-        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, (COLLISION_NODE,), self._neighbours)
+        self._states = StepPublisher(self, qos.FRAGMENT_STATES)
+        self._began = time.monotonic()
         self._time_publisher = (
             self.create_publisher(qos.CLOCK.message_class, qos.CLOCK.name, qos.CLOCK.qos)
             if given["publish_clock"]
@@ -101,11 +104,11 @@ class SimulatorNode(Node):
         self._service = self.create_client(SetParameters, f"{COLLISION_NODE}/set_parameters")
         self._lookahead = RepeatedRequest(self._service.service_is_ready)
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
-        for topic, callback, raw in (
-            (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
-            (qos.FRAGMENTS, self._on_registry, False),
+        for topic, callback, profile, raw in (
+            (qos.CONTACT_CONSTRAINTS, self._on_contacts, qos.EACH_STEP, True),  # none of before
+            (qos.FRAGMENTS, self._on_registry, qos.FRAGMENTS.qos, False),
         ):
-            self.create_subscription(topic.message_class, topic.name, callback, topic.qos, raw=raw)
+            self.create_subscription(topic.message_class, topic.name, callback, profile, raw=raw)
         self._asked = (0, 0)
         self._contacts: ContactConstraintArray | None = None
         self._registry: FragmentRegistry | None = None
@@ -167,22 +170,22 @@ class SimulatorNode(Node):
             self._time_publisher.publish(qos.CLOCK.message_class(clock=stamp))
 
     def _await_subscribers(self, executor: Executor) -> None:
-        """Waits for `wait_for_subscribers`, then for all participants that are on this machine by then.
+        """Waits for `wait_for_subscribers`, and until this node has been up for DISCOVERY.
 
-        A recorder that starts with the simulator must not miss the first steps, and enough others may be discovered
-        before it.
+        A recorder that was there before must not miss the first steps, and enough others may be discovered before it.
         """
         if self._subscribers == 0:
             return
         started, said = time.monotonic(), 0.0
-        self._neighbours.are_all_known()  # starts the time that the count must stay unchanged
-        while min(self._states.subscriber_count, self.count_subscribers(self._contacts_topic)) < self._subscribers:
+        while time.monotonic() < self._began + DISCOVERY or min(self._present_subscribers()) < self._subscribers:
             executor.spin_once(timeout_sec=0.02)
             if time.monotonic() - started > said + 5.0:
                 said += 5.0
                 self.get_logger().info("waiting for the collision service (and recorders) to subscribe")
-        if not self._neighbours.await_all():
-            self.get_logger().info("not all DDS participants of this machine are discovered; continuing")
+
+    def _present_subscribers(self) -> tuple[int, int]:
+        """The number of subscribers to states, and to contacts."""
+        return self._states.subscriber_count, self.count_subscribers(self._contacts_topic)
 
     def _set_lookahead(self, executor: Executor) -> None:
         """Sets the service's lookahead to the time step, before states that count on it."""
@@ -214,14 +217,14 @@ class SimulatorNode(Node):
     ) -> tuple[ContactConstraintArray, FragmentRegistry, float, float]:
         """Publishes states until their contacts and registry have arrived.
 
-        Returns both, the time the subscribers took to acknowledge the last states [s], and the time from publishing
-        these to their answer [s].
+        Returns both, the time that late subscribers took to acknowledge earlier states [s], and the time from
+        publishing these to their answer [s].
         """
         data = serialize_record(states, heading(self._simulation.time), self._run_id)
         self._asked = (states.step, states.fracture_sequence)
         self._contacts = None
         began = time.perf_counter()
-        self._states.settle()
+        self._states.await_room()
         published = time.perf_counter()
         self._states.publish(data)
         pause, there, has_waited = FIRST_PAUSE, None, False
@@ -244,7 +247,7 @@ class SimulatorNode(Node):
                 self.get_logger().warning(f"no answer to step {states.step} yet; publishing it again")
                 pause = min(pause * PAUSE_GROWTH, LONGEST_PAUSE)
             has_waited = True
-            self._states.publish_again(data)
+            self._states.publish(data)
             deadline = time.monotonic() + pause
 
     def _present(self) -> tuple[int, int]:
@@ -318,7 +321,7 @@ def random_run_id() -> int:
 
 def work(node: SimulatorNode) -> None:
     """Runs the node to its end, or until it is shut down."""
-    executor = make_executor()
+    executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         # otherwise the first timed step would load them

@@ -109,8 +109,7 @@ def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
     total_ms: the whole step. collision_ms: broad and narrow phase. update_ms: applying fracture events, in steps that
     brought some, else 0. solver_ms: contact solver. fracture_ms: making the patterns of what breaks. physics_ms: the
     rest of the simulator's part. ros_ms: all else; of that, round_trip_ms from states published to contacts received,
-    less collision and update; acknowledge_ms before that, until all subscribers had acknowledged the last states
-    (acknowledged_publisher.py).
+    less collision and update; acknowledge_ms before that, for subscribers that are late (step_publisher.py).
     """
     answers = {name: service[:, column] for column, name in enumerate(SERVICE_COLUMNS)}
     report = {name: simulator[:, column] for column, name in enumerate(SIMULATOR_COLUMNS)}
