@@ -31,7 +31,7 @@ from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 
 # [s] After states were held for so long, bodies and events are requested again. They are latched and arrive by
 # themselves, but discovery sometimes omits a reader that appeared while others were killed. The last pause repeats.
-LOG_PAUSES = (2, 4, 8, 16, 32, 64, 128)
+LOG_PAUSES = (1, 2, 4, 8, 16, 32, 64, 128)
 PAST_RUNS = 64  # whose late messages are recognized
 NO_BODY_SEQUENCE = (
     "states are answered, but have no body_sequence: answers would lack a static body that has not arrived. Number the"
