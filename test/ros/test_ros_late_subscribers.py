@@ -1,8 +1,7 @@
-"""Killed, stopped and idle subscribers: what the service and the simulator wait for, and what a recorder reports."""
+"""Killed and stopped subscribers delay nobody, and a recorder reports what it missed."""
 
 from __future__ import annotations
 
-import math
 import signal
 from pathlib import Path
 
@@ -15,12 +14,10 @@ from worlds.scene_of_length import scene_of_length
 from campaigns.kills.stage import await_end, await_recording, await_step, await_that, must_end, steps_told
 from fracture_collision.bag.reader import message_counts
 from fracture_collision.ros.wire import qos
-from fracture_collision.ros.wire.step_publisher import PATIENCE, StepPublisher
 
 RUN = 43
 ANSWERS = "fracture_collision: answers"
-OVERWRITTEN = "answers overwritten before all subscribers acknowledged them"
-LATE = "a subscriber is late and may miss answers"
+LONGEST = 1.0  # [s] on a loaded machine; a wait for a stopped process would have no end
 
 
 @pytest.mark.parametrize("victim", ["recorder", "service"])
@@ -48,24 +45,30 @@ def test_a_killed_subscriber_takes_nothing_from_the_others(
     assert counts["/fragment_states"] >= steps == 400 <= counts["/contact_constraints"] + may_lack
 
 
-def test_a_stopped_subscriber_is_waited_for_once_and_reported(stage: StageWithClients, tmp_path: Path) -> None:
+def test_a_stopped_recorder_delays_no_answer_and_fails_for_what_it_missed(
+    stage: StageWithClients, tmp_path: Path
+) -> None:
     client = service_with_bodies(stage)
     recorder = stage.start("recorder_node", folder=str(tmp_path / "bag"), progress=True)
-    await_that(lambda: '"/diagnostics": 2' in recorder.log_text(), "what the service reports", recorder)
+    client.spin_until(lambda: client.node.count_subscribers("fragment_states") == 2, "a recorder of states")
+    client.ask(STATES._replace(step=99), RUN)
+    await_that(lambda: '"fragment_states": 1' in recorder.log_text(), "the first states", recorder)
     recorder.send_signal(signal.SIGSTOP)
-    for step in range(100, 100 + 3 * qos.STEP_DEPTH):
+    for step in range(100, 100 + 20 * qos.STEP_DEPTH):  # also more than fits into its queue in shared memory
         client.ask(STATES._replace(step=step), RUN)
-    client.spin_until(lambda: LATE in client.diagnostics[ANSWERS], "its word on a late subscriber")
-    assert 1 <= int(client.details[ANSWERS][OVERWRITTEN]) <= 2 * qos.STEP_DEPTH + 1
-    assert PATIENCE < worst_of(client, "conversion and publishing") < 10.0 * PATIENCE
+    client.details.clear()
+    client.spin_until(lambda: ANSWERS in client.details, "its word on that")
+    assert client.diagnostics[ANSWERS] == "ready" and worst_of(client, "conversion and publishing") < LONGEST
     recorder.send_signal(signal.SIGCONT)
-    step = iter(range(1000, 10_000))
+    step = iter(range(100 + 20 * qos.STEP_DEPTH, 100_000))
 
-    def is_quick_again() -> bool:
+    def has_noticed() -> bool:
         client.ask(STATES._replace(step=next(step)), RUN)
-        return client.diagnostics[ANSWERS] == "ready"
+        return "were missed" in recorder.log_text()
 
-    client.spin_until(is_quick_again, "its word on nobody being late")
+    client.spin_until(has_noticed, "what is missing")
+    assert recorder.stop() == 1
+    assert "the bag lacks the states of" in recorder.log_text() and "Traceback" not in recorder.log_text()
 
 
 def test_a_recorder_that_missed_a_step_reports_it_and_fails(stage: StageWithClients, tmp_path: Path) -> None:
@@ -90,75 +93,6 @@ def test_a_recorder_gets_the_answers_that_came_before_it(stage: StageWithClients
     recorder = stage.start("recorder_node", folder=str(tmp_path / "bag"), progress=True)
     await_that(lambda: '"contact_constraints": 21' in recorder.log_text(), "earlier answers", recorder)
     assert recorder.stop() == 0, recorder.log_text()
-
-
-class StandIn:
-    """A publisher and its node, with one subscriber that acknowledges after a set time."""
-
-    def __init__(self) -> None:
-        self.acknowledges_after, self.waited, self.warnings, self.published = 0.0, 0.0, 0, 0
-
-    def create_publisher(self, *_arguments):
-        return self
-
-    def publish(self, _message: bytes) -> None:
-        self.published += 1
-
-    def wait_for_all_acked(self, duration) -> bool:
-        seconds = duration.nanoseconds / 1e9
-        waited = min(seconds, self.acknowledges_after)
-        self.waited += waited
-        self.acknowledges_after -= waited
-        return self.acknowledges_after <= 0.0
-
-    def get_logger(self):
-        return self
-
-    def warning(self, *_words, **_options) -> None:
-        self.warnings += 1
-
-
-def test_acknowledgements_are_awaited_once_the_depth_is_used_up() -> None:
-    stand_in = StandIn()
-    publisher = StepPublisher(stand_in, qos.CONTACT_CONSTRAINTS)
-
-    def waited(count: int = 1) -> float:
-        """Time [s] that the next messages wait."""
-        stand_in.waited = 0.0
-        for _ in range(count):
-            publisher.publish(b"")
-        return stand_in.waited
-
-    assert waited(1000) == 0.0  # a subscriber that keeps up
-    stand_in.acknowledges_after = 0.3
-    before = publisher._open
-    assert waited(qos.STEP_DEPTH - before) == 0.0  # late by less than the depth
-    assert waited() == pytest.approx(0.3) and publisher.overwritten == 0
-    assert waited(qos.STEP_DEPTH - 1) == 0.0
-
-    stand_in.acknowledges_after = math.inf
-    assert waited(qos.STEP_DEPTH) == pytest.approx(PATIENCE) and publisher.has_late
-    assert waited(50) == 0.0 and stand_in.warnings == 1, "only once"
-    assert 50 <= publisher.overwritten <= 50 + qos.STEP_DEPTH
-    overwritten = publisher.overwritten
-    stand_in.acknowledges_after = 0.0
-    assert waited(qos.STEP_DEPTH) == 0.0 and not publisher.has_late and publisher.overwritten == overwritten
-    stand_in.acknowledges_after = 0.3  # it keeps up again, so publishes wait for it
-    assert waited(qos.STEP_DEPTH) == pytest.approx(0.3)
-    assert stand_in.published > 1000
-
-
-def test_a_subscriber_that_never_spins_is_not_waited_for(stage: StageWithClients) -> None:
-    """DDS acknowledges every sample it receives, even if the application never takes it."""
-    client = service_with_bodies(stage)
-    idle = stage.client()
-    client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 2, "the other")
-    for step in range(100, 100 + 3 * qos.STEP_DEPTH):
-        client.ask(STATES._replace(step=step), RUN)
-    client.details.clear()
-    client.spin_until(lambda: ANSWERS in client.details, "its word on that")
-    assert client.diagnostics[ANSWERS] == "ready" and client.details[ANSWERS][OVERWRITTEN] == "0"
-    assert idle.answers == []
 
 
 def service_with_bodies(stage: StageWithClients) -> ServiceClient:

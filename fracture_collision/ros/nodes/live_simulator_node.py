@@ -132,7 +132,7 @@ class LiveSimulatorNode(SimulatorNode):
             else:
                 self._steps_allowed = max(self._steps_allowed - 1, 0)
                 self._history.keep(self._live)
-                report, _, round_trip = self._step(executor)
+                report, round_trip = self._step(executor)
                 due = max(due + self._scene.time_step / self._rate, time.monotonic() - MOST_BEHIND)
                 self._tell(report, round_trip)
                 executor.spin_once(timeout_sec=0)

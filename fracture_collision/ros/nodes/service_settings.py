@@ -26,6 +26,7 @@ class ServiceSettings:
         self._topic = topic
         self._on_settings = on_settings
         self._known: bytes | None = None  # the publisher whose settings are known
+        self._values: dict[str, Any] = {}  # of the publisher asked
         self._client: Any = None
         self._request = RepeatedRequest(lambda: self._client.service_is_ready())
         self._asking: tuple[bytes, str] | None = None  # the publisher that gets the requests, and its node
@@ -43,6 +44,7 @@ class ServiceSettings:
         if self._asking is None or self._asking[0] != gid:
             self._drop_client()
             self._asking = gid, name
+            self._values = {}
             self._client = self._node.create_client(GetParameters, f"{name}/get_parameters")
             self._ask()
         self._request.look()
@@ -54,8 +56,15 @@ class ServiceSettings:
     def _on_event(self, event: ParameterEvent) -> None:
         if self._asking is None or event.node != self._asking[1]:
             return
-        if any(parameter.name in Settings._fields for parameter in event.changed_parameters):
-            self._known = None
+        changed = {
+            parameter.name: parameter_value_to_python(parameter.value)
+            for parameter in event.changed_parameters
+            if parameter.name in Settings._fields
+        }
+        if changed and self._known == self._asking[0] and self._values:
+            self._values |= changed
+            self._on_settings(dict(self._values))
+        elif changed:
             self._ask()  # a response on its way may predate the change
 
     def _on_answer(self, done: Future) -> None:
@@ -67,7 +76,8 @@ class ServiceSettings:
             return
         values = [parameter_value_to_python(value) for value in done.result().values]
         if len(values) == len(Settings._fields) and None not in values:
-            self._on_settings(dict(zip(Settings._fields, values, strict=True)))
+            self._values = dict(zip(Settings._fields, values, strict=True))
+            self._on_settings(dict(self._values))
 
     def _drop_client(self) -> None:
         self._request.drop()

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from rcl_interfaces.srv import SetParameters
+from rclpy.duration import Duration
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -27,7 +28,6 @@ from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.wire.conversion import header_of, heading, to_message, to_record
 from fracture_collision.ros.wire.interfaces import COLLISION_NODE, Interface
-from fracture_collision.ros.wire.step_publisher import StepPublisher
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene
 from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.warm_up import compile_kernels
@@ -44,6 +44,7 @@ LOOK_INTERVAL = 0.02  # [s] between two checks for new subscribers and publisher
 
 # [s] Two announcements of each participant on this machine (config/this_machine.xml).
 DISCOVERY = 1.0
+LAST_STATES = Duration(seconds=1)  # for all subscribers to acknowledge them before their publisher goes
 
 PROGRESS_INTERVAL = 0.1  # [s]
 
@@ -94,7 +95,8 @@ class SimulatorNode(Node):
         self._run_id = run_id or random_run_id()
 
         self._bodies, self._events = self._open_log()
-        self._states = StepPublisher(self, qos.FRAGMENT_STATES)
+        topic = qos.FRAGMENT_STATES
+        self._states = self.create_publisher(topic.message_class, topic.name, topic.qos)
         self._began = time.monotonic()
         self._time_publisher = (
             self.create_publisher(qos.CLOCK.message_class, qos.CLOCK.name, qos.CLOCK.qos)
@@ -125,17 +127,17 @@ class SimulatorNode(Node):
         self._announce(self._simulation.start_bodies(), [])
         while not self._simulation.finished:
             began = time.perf_counter()
-            report, acknowledgement, round_trip = self._step(executor)
+            report, round_trip = self._step(executor)
             total = time.perf_counter() - began
             self._rows.append(
                 (
-                    report.step, report.time, report.contacts, report.fragments, total, acknowledgement, round_trip,
+                    report.step, report.time, report.contacts, report.fragments, total, round_trip,
                     report.solver_seconds, report.fracture_seconds, report.kinetic_energy, report.potential_energy,
                     report.drift_energy, report.max_speed, report.deepest_gap,
                 )
             )  # fmt: skip
             self._tell_progress()
-        self._states.flush()
+        self._states.wait_for_all_acked(LAST_STATES)
 
     def finish(self) -> None:
         """Writes the timing file, if requested; frees the physics engine."""
@@ -154,14 +156,14 @@ class SimulatorNode(Node):
         )
         return bodies, events
 
-    def _step(self, executor: Executor) -> tuple[StepReport, float, float]:
-        """Makes one step; returns its report and both times of `_ask`."""
+    def _step(self, executor: Executor) -> tuple[StepReport, float]:
+        """Makes one step; returns its report and the time of `_ask`."""
         self._publish_time()
         request = self._simulation.begin_step()
         self._announce(request.bodies, request.events)
-        contacts, registry, acknowledgement, round_trip = self._ask(request.states, executor)
+        contacts, registry, round_trip = self._ask(request.states, executor)
         self._tell_unexpected(contacts, registry)
-        return self._simulation.finish_step(contacts, registry), acknowledgement, round_trip
+        return self._simulation.finish_step(contacts, registry), round_trip
 
     def _publish_time(self) -> None:
         """Publishes the time that the next messages are stamped with."""
@@ -185,11 +187,11 @@ class SimulatorNode(Node):
 
     def _present_subscribers(self) -> tuple[int, int]:
         """The number of subscribers to states, and to contacts."""
-        return self._states.subscriber_count, self.count_subscribers(self._contacts_topic)
+        return self._states.get_subscription_count(), self.count_subscribers(self._contacts_topic)
 
     def _set_lookahead(self, executor: Executor) -> None:
         """Sets the service's lookahead to the time step, before states that count on it."""
-        if not self._looks_ahead or not self._states.subscriber_count:
+        if not self._looks_ahead or not self._states.get_subscription_count():
             return
         lookahead = Parameter("lookahead", value=self._simulation.time_step).to_parameter_msg()
         wanted = SetParameters.Request(parameters=[lookahead])
@@ -214,17 +216,14 @@ class SimulatorNode(Node):
 
     def _ask(
         self, states: FragmentStates, executor: Executor
-    ) -> tuple[ContactConstraintArray, FragmentRegistry, float, float]:
+    ) -> tuple[ContactConstraintArray, FragmentRegistry, float]:
         """Publishes states until their contacts and registry have arrived.
 
-        Returns both, the time that late subscribers took to acknowledge earlier states [s], and the time from
-        publishing these to their answer [s].
+        Returns both, and the time from publishing the states to their answer [s].
         """
         data = serialize_record(states, heading(self._simulation.time), self._run_id)
         self._asked = (states.step, states.fracture_sequence)
         self._contacts = None
-        began = time.perf_counter()
-        self._states.await_room()
         published = time.perf_counter()
         self._states.publish(data)
         pause, there, has_waited = FIRST_PAUSE, None, False
@@ -235,7 +234,7 @@ class SimulatorNode(Node):
                 round_trip = time.perf_counter() - published
                 if has_waited:
                     self.get_logger().info(f"step {states.step} is answered after {round_trip:.2f} s; continuing")
-                return *answer, published - began, round_trip
+                return *answer, round_trip
             before, there = there, self._present()
             if before is not None and (there[0] > before[0] or there[1] > before[1]):
                 self.get_logger().info(f"new subscriber or publisher; publishing step {states.step} again")
@@ -252,7 +251,7 @@ class SimulatorNode(Node):
 
     def _present(self) -> tuple[int, int]:
         """The number of subscribers to states, and of publishers of contacts."""
-        return self._states.subscriber_count, self.count_publishers(self._contacts_topic)
+        return self._states.get_subscription_count(), self.count_publishers(self._contacts_topic)
 
     def _answer_to(self, states: FragmentStates) -> tuple[ContactConstraintArray, FragmentRegistry] | None:
         """The contacts, and the registry with all fragments of `states`; None until both have arrived."""

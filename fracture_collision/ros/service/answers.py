@@ -25,10 +25,10 @@ from fracture_collision.ros.wire.cdr_records import serialize_record
 from fracture_collision.ros.wire.contact_poses import serialize_contact_poses
 from fracture_collision.ros.wire.conversion import header_of, to_message
 from fracture_collision.ros.wire.markers import MarkersPublisher
-from fracture_collision.ros.wire.step_publisher import PATIENCE, StepPublisher
 from fracture_collision.world.settings import settings_text
 
 TIMING_FILE = Declaration("timing_file", "", ".npy file for the times of each answer; '': none")
+LAST_MESHES = Duration(seconds=0.5)  # for all subscribers to acknowledge those of a run that is over
 
 
 class Answers:
@@ -44,24 +44,14 @@ class Answers:
         self.times = AnswerTimes()
         self.last = "no answer yet"
 
-        self._contacts = StepPublisher(node, qos.CONTACT_CONSTRAINTS)
-        self._markers = MarkersPublisher(node)
-        self._fragments, self._meshes, self._answer_times, self._poses = map(
-            self._publisher_of, (qos.FRAGMENTS, qos.FRAGMENT_MESHES, qos.ANSWER_TIMES, qos.CONTACT_POSES)
+        self._contacts, self._fragments, self._meshes, self._answer_times, self._poses = map(
+            self._publisher_of,
+            (qos.CONTACT_CONSTRAINTS, qos.FRAGMENTS, qos.FRAGMENT_MESHES, qos.ANSWER_TIMES, qos.CONTACT_POSES),
         )
+        self._markers = MarkersPublisher(node)
 
     def _publisher_of(self, topic: qos.Topic) -> Publisher:
         return self._node.create_publisher(topic.message_class, topic.name, topic.qos)
-
-    @property
-    def has_late_subscriber(self) -> bool:
-        """Whether a subscriber to contacts has not acknowledged the last ones in time and may miss some."""
-        return self._contacts.has_late
-
-    @property
-    def overwritten(self) -> int:
-        """Answers overwritten before all subscribers had acknowledged them."""
-        return self._contacts.overwritten
 
     def forget(self) -> None:
         """Starts a new run."""
@@ -69,7 +59,7 @@ class Answers:
         self._markers.forget()
         if self._meshes_published:
             # A latched publisher sends its whole history to late joiners; these fragments are gone.
-            self._meshes.wait_for_all_acked(Duration(seconds=PATIENCE))  # or a recorder would miss the last ones
+            self._meshes.wait_for_all_acked(LAST_MESHES)  # or a recorder would miss the last ones
             self._node.destroy_publisher(self._meshes)
             self._meshes = self._publisher_of(qos.FRAGMENT_MESHES)
             self._meshes_published.clear()

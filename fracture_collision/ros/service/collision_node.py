@@ -268,7 +268,6 @@ class CollisionNode(Node):
         run, incoming = self._run, self._incoming
         values = {
             "phase": self._phase,
-            "answers overwritten before all subscribers acknowledged them": self._answers.overwritten,
             "states dropped for newer ones": incoming.dropped_states + self._replaced_states,
             "events held": sum(one.held_event_count for one in (run, self._next_run) if one is not None),
         }
@@ -280,15 +279,13 @@ class CollisionNode(Node):
                 "states name the bodies before them": not run.lacks_body_sequence,
             }
         message = self._phase
-        if self._answers.has_late_subscriber:
-            message += "; a subscriber is late and may miss answers"
         rejected = run.rejected_event if run is not None else ""
         if rejected:
             message = rejected
         if self._held is not None:
             message = self._said_of(self._held)
         message = self._warning or message
-        is_fine = self._held is None and not self._answers.has_late_subscriber and not rejected and not self._warning
+        is_fine = self._held is None and not rejected and not self._warning
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
         self._warning = ""
         self._diagnostics.publish(

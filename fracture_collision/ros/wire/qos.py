@@ -47,7 +47,8 @@ LATCHED_NEWEST = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
-# [messages] A subscriber may be late by this many steps before one is overwritten (ros/wire/step_publisher.py).
+# [messages] A subscriber may be late by this many steps before one is overwritten. Publishers do not wait for it; the
+# recorder checks the step numbers.
 STEP_DEPTH = 64
 EACH_STEP = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
