@@ -2,8 +2,8 @@
 
     python -m benchmarks.executors [--scene plates] [--seconds 1] [--repeats 3]
 
-Service and simulator are the project's own nodes. `prompt` is ros/fastdds/prompt_executor.py; `plain` is rclpy's
-SingleThreadedExecutor; `events` is rclpy.experimental's EventsExecutor. Repeats are interleaved.
+Service and simulator are the project's own nodes. `single` is rclpy's SingleThreadedExecutor, which they use.
+`events` is rclpy.experimental's EventsExecutor. Repeats are interleaved.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.utilities import get_default_context
 
-from fracture_collision.ros.fastdds import extras
+from fracture_collision.ros.nodes import simulator_node
 from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
+from fracture_collision.ros.service import collision_node
 from fracture_collision.ros.service.incoming import Incoming
 from fracture_collision.ros.start import start
 from fracture_collision.share import share_directory
@@ -37,15 +38,16 @@ from fracture_collision.share import share_directory
 class _Events:
     """EventsExecutor with a `spin` of its own.
 
-    In rclpy 7.1.5 a wait without a timeout keeps a core busy and runs no timer. A callback that also takes message info
-    fails, so messages here have no known publisher.
+    In rclpy 7.1.6 a wait without a timeout keeps a core busy and runs no timer. A callback that also takes message info
+    fails, so dropped states are not counted here.
     """
 
-    def __init__(self, context: Context | None) -> None:
+    def __init__(self, *, context: Context | None = None) -> None:
         self._context = context or get_default_context()
         self._executor = EventsExecutor(context=context)
         on_message = Incoming._on_message
-        Incoming._on_message = lambda self, topic, data: on_message(self, topic, data, extras.Origin(b"", 1))
+        info = {"publication_sequence_number": 1}
+        Incoming._on_message = lambda self, topic, data: on_message(self, topic, data, info)
 
     def spin(self) -> None:
         while self._context.ok():
@@ -55,11 +57,7 @@ class _Events:
         return getattr(self._executor, name)
 
 
-EXECUTORS = {
-    "prompt": extras.make_executor,
-    "plain": lambda context=None: SingleThreadedExecutor(context=context),
-    "events": lambda context=None: _Events(context),
-}
+EXECUTORS = {"single": SingleThreadedExecutor, "events": _Events}
 WARM_UP = 20  # steps
 PATIENCE = 60.0  # [s] for one run
 
@@ -67,7 +65,7 @@ PATIENCE = 60.0  # [s] for one run
 def main() -> None:
     """Prints a table, or runs one node with an executor, for this program's own child processes."""
     if sys.argv[1:2] == ["--node"]:
-        extras.make_executor = EXECUTORS[sys.argv[2]]
+        collision_node.SingleThreadedExecutor = simulator_node.SingleThreadedExecutor = EXECUTORS[sys.argv[2]]
         del sys.argv[1:3]
         sys.argv[:2] = sys.argv[1:2]
         sys.exit(start(sys.argv[0]))

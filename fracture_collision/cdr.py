@@ -227,6 +227,14 @@ class Codec:
         return ValueError(f"no serialized {self._name}: {words}")
 
 
+def offset_of_run_id(data: bytes) -> int:
+    """Where run_id stands in a little-endian message that begins with header and run_id."""
+    begin = len(_ENCAPSULATION)
+    length_at = begin + 8  # of the frame's name, after the stamp
+    at = length_at + 4 + int.from_bytes(data[length_at : length_at + 4], "little")
+    return at + -(at - begin) % 8
+
+
 def flat_array(value: Any, dtype: Any) -> np.ndarray:
     """`value` as a contiguous array of `dtype`; ValueError if it has more than one dimension."""
     flat = np.ascontiguousarray(value, dtype=dtype)

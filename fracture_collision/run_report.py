@@ -46,7 +46,6 @@ TIMES = (
     ("solver_ms", "  contact solver"),
     ("fracture_ms", "fracture computation"),
     ("ros_ms", "ROS"),
-    ("acknowledge_ms", "  wait for subscribers"),
 )
 
 
@@ -112,10 +111,9 @@ def where_time_goes(report: Mapping[str, Any]) -> str:
     if len(order) > 1:
         sentence += f"; the next longest takes {total[order[1]]:.1f} ms"
     if "ros_ms" in report:
-        ros, waits = (np.mean(report[name]) for name in ("ros_ms", "acknowledge_ms"))
         sentence = (
-            f"ROS takes {ros:.1f} of the {total.mean():.1f} ms of an average step, {waits:.1f} of these to wait for"
-            f" subscribers; the paper's step has no such part. {sentence}"
+            f"ROS takes {np.mean(report['ros_ms']):.1f} of the {total.mean():.1f} ms of an average step; the paper's"
+            f" step has no such part. {sentence}"
         )
     return sentence + "."
 

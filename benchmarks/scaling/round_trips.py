@@ -25,8 +25,6 @@ from benchmarks.scaling.growth import Progress, silent
 from benchmarks.scaling.piles import Pile, make_pile
 from fracture_collision.cdr import Received
 from fracture_collision.records import FragmentStates
-from fracture_collision.ros.fastdds.acknowledged_publisher import AcknowledgedPublisher
-from fracture_collision.ros.fastdds.prompt_executor import PromptExecutor
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id, loopback_environment
 from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS
@@ -54,7 +52,6 @@ class RoundTripRow(NamedTuple):
     beyond_worst: float
     beyond_empty: float  # the same for states without fragments, interleaved: the part independent of size
     in_service: float  # part of `beyond`: converting contacts to a message and publishing it
-    acknowledgement: float  # before all that: until all subscribers acknowledged the previous states
     serialization: float  # states and contacts, each from record to bytes and back, in this process
     answer_bytes: int
     beyond_plain: float  # the same bytes, there and back, between two plain rclpy nodes that do nothing else
@@ -79,13 +76,14 @@ class _Simulator:
     def __init__(self, domain_id: int) -> None:
         self._context = own_context(domain_id)
         self._node = rclpy.create_node("simulator_node", context=self._context)
-        self._executor = PromptExecutor(context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._bodies, self._events = (
             self._node.create_publisher(topic.message_class, topic.name, topic.qos)
             for topic in (qos.BODIES, qos.FRACTURE_EVENTS)
         )
-        self._states = AcknowledgedPublisher(self._node, qos.FRAGMENT_STATES, answerers=("collision_node",))
+        states = qos.FRAGMENT_STATES
+        self._states = self._node.create_publisher(states.message_class, states.name, states.qos)
         topic = qos.CONTACT_CONSTRAINTS
         self._node.create_subscription(topic.message_class, topic.name, self._take, topic.qos, raw=True)
         self.answer: Received | None = None
@@ -102,9 +100,9 @@ class _Simulator:
 
     def await_subscribers(self, count: int) -> None:
         deadline = time.monotonic() + PATIENCE
-        while min(self._states.subscriber_count, self._node.count_subscribers("contact_constraints")) < count:
+        while min(self._states.get_subscription_count(), self._node.count_subscribers("contact_constraints")) < count:
             if time.monotonic() > deadline:
-                raise RuntimeError(f"{self._states.subscriber_count} of {count} subscribers came")
+                raise RuntimeError(f"{self._states.get_subscription_count()} of {count} subscribers came")
             self._executor.spin_once(timeout_sec=0.02)
 
     def tell(self, pile: Pile) -> None:
@@ -112,12 +110,10 @@ class _Simulator:
             for record in records:
                 publisher.publish(to_message(record, heading(0.0), RUN_ID))
 
-    def ask(self, states: Any) -> tuple[float, float]:
-        """[s] until the previous states are acknowledged, and from publishing these to their answer."""
+    def ask(self, states: Any) -> float:
+        """[s] from publishing the states to their answer."""
         data = serialize_record(states, heading(0.005 * states.step), RUN_ID)
         self.answer = None
-        began = time.perf_counter()
-        self._states.settle()
         published = time.perf_counter()
         self._states.publish(data)
         deadline = time.monotonic() + PATIENCE
@@ -125,7 +121,7 @@ class _Simulator:
             if time.monotonic() > deadline:
                 raise RuntimeError(f"no answer to step {states.step}")
             self._executor.spin_once(timeout_sec=1.0)
-        return published - began, time.perf_counter() - published
+        return time.perf_counter() - published
 
 
 def _measure(pile: Pile, steps: int, recorder: bool) -> RoundTripRow:
@@ -154,14 +150,14 @@ def _measure(pile: Pile, steps: int, recorder: bool) -> RoundTripRow:
                 contacts, answer = simulator.answer.record, simulator.answer_data
         if service.stop():
             raise RuntimeError(service.log_text())
-        acknowledgement, round_trip = np.array(its[2 * WARM_UP : -1]).T
+        round_trip = np.array(its[2 * WARM_UP : -1])
         rows = dict(zip(SERVICE_COLUMNS, np.load(times_file)[2 * WARM_UP : 2 * (WARM_UP + steps)].T, strict=True))
     beyond, empty = np.reshape(round_trip - rows["collision"] - rows["update"], (steps, 2)).T
     computation, conversion = rows["collision"][::2], rows["conversion"][::2]
     question = serialize_record(pile.states, heading(0.0), RUN_ID)
     return RoundTripRow(
         recorder, len(pile.states.fragment_ids), len(contacts.gaps), steps, _ms(computation), _ms(beyond),
-        1e3 * float(beyond.max()), _ms(empty), _ms(conversion), _ms(acknowledgement),
+        1e3 * float(beyond.max()), _ms(empty), _ms(conversion),
         _serialization(pile.states, qos.FRAGMENT_STATES) + _serialization(contacts, qos.CONTACT_CONSTRAINTS),
         len(answer), _plain(question, answer, float(np.median(computation)), steps),
     )  # fmt: skip

@@ -26,9 +26,8 @@ from campaigns.kills.stage import (
     stage,
     steps_told,
 )
-from fracture_collision.ros.fastdds.participant_process import age_of
 from fracture_collision.ros.processes.node_process import NodeProcess
-from fracture_collision.ros.processes.process import LONGEST_END
+from fracture_collision.ros.processes.process import LONGEST_END, age_of
 
 Progress = Callable[[str], None]
 DEAF_AFTER = 30.0  # [s] from a node's start, on a machine that is busy with other work

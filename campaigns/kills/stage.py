@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fracture_collision.bag.reader import read_messages, topic_digest
-from fracture_collision.ros.fastdds.shared_memory import YOUNG, left_behind, remove_left_behind
+from fracture_collision.bag.reader import read_messages, topic_digest, without_run_id
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.processes.shared_memory import YOUNG, dead_segments, remove_dead_segments
 
 PATIENCE = 300.0  # [s] a node that takes longer counts as hung
 LOOK = 0.02  # [s] shorter intervals would take time from the nodes, which measure by their own clocks
@@ -99,7 +99,7 @@ def digests(bag: Path) -> Digests:
     answers = {}
     for message in read_messages(bag, ["/contact_constraints"]):
         step = deserialize_record(message.data, ContactConstraintArray).record.step
-        answer = hashlib.sha256(message.data).hexdigest()
+        answer = hashlib.sha256(without_run_id(message.data)).hexdigest()
         if answers.setdefault(step, answer) != answer:
             raise ValueError(f"{bag}: two answers to step {step}")
     return Digests(tuple(topic_digest(bag, topic) for topic in COMPARED), answers, registry.digest)
@@ -202,14 +202,14 @@ def fault_at_end(node: NodeProcess, status: int) -> str:
 
 
 class Litter(NamedTuple):
-    files: frozenset[Path]  # of Fast DDS in shared memory, unused
+    files: frozenset[Path]  # segments of Fast DDS in shared memory, unused
     processes: frozenset[int]  # nodes without a parent
 
 
 def litter() -> Litter:
     """What is left behind."""
     time.sleep(1.5 * YOUNG)  # recent leftovers still count as new
-    return Litter(frozenset(left_behind()), frozenset(_orphans()))
+    return Litter(frozenset(dead_segments()), frozenset(_orphans()))
 
 
 def await_no_litter(before: Litter) -> None:
@@ -220,7 +220,7 @@ def await_no_litter(before: Litter) -> None:
     """
 
     def is_clean() -> bool:
-        remove_left_behind()
+        remove_dead_segments()
         left = litter()
         return left.files <= before.files and left.processes <= before.processes
 

@@ -29,8 +29,8 @@ from campaigns.kills.stage import (
     stage,
     steps_told,
 )
-from fracture_collision.ros.fastdds.participant_process import age_of
 from fracture_collision.ros.processes.node_process import NodeProcess
+from fracture_collision.ros.processes.process import age_of
 
 Progress = Callable[[str], None]
 MOST_RUNS = 100  # if these do not contain the requested kills, the scene is too short

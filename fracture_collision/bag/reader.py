@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,10 +14,11 @@ from mcap.records import Metadata
 from fracture_collision.bag import metadata
 from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.mcap_file import McapFile
+from fracture_collision.cdr import offset_of_run_id
 
 __all__ = ["BagError", "BagMessage", "RecordedSettings", "mcap_files", "mcap_files_without_metadata", "message_counts", 
            "missing_words", "read_messages", "recorded_settings", "settings_values", "topic_digest",
-           "topic_types"]  # fmt: skip
+           "topic_types", "without_run_id"]  # fmt: skip
 
 # Names in a bag's custom data: the settings of the service that answered, as JSON; and its earlier settings, if they
 # changed while the recorder ran.
@@ -149,15 +151,25 @@ def _noted(record: Metadata, path: Path) -> dict[str, str]:
 def topic_digest(bag: Path | str, topic: str) -> str:
     """SHA-256 over the serialized messages of a topic, times included: equal if and only if the streams are.
 
-    A repetition of the message before it, as by a simulator that got no answer in time, does not count.
+    Run ids, which are random, do not count, nor does a repetition of the message before it, as by a simulator that got
+    no answer in time.
     """
     digest = hashlib.sha256()
+    _, definition = topic_types(bag).get(topic, ("", ""))
+    has_run_id = re.search(r"^uint64 run_id\b", definition, re.MULTILINE) is not None
     last = None
     for message in read_messages(bag, [topic]):
         if message == last:
             continue
         last = message
+        data = without_run_id(message.data) if has_run_id else message.data
         digest.update(message.nanoseconds.to_bytes(8, "little"))
-        digest.update(len(message.data).to_bytes(8, "little"))
-        digest.update(message.data)
+        digest.update(len(data).to_bytes(8, "little"))
+        digest.update(data)
     return digest.hexdigest()
+
+
+def without_run_id(data: bytes) -> bytes:
+    """A serialized message that begins with `header` and `run_id`, with a run id of 0."""
+    at = offset_of_run_id(data)
+    return data[:at] + bytes(8) + data[at + 8 :]

@@ -107,7 +107,7 @@ def mend(bag: Path) -> None:
 def digest(bag: Path) -> None:
     """Print a SHA-256 of each topic of a BAG.
 
-    Two digests are equal if and only if all messages are, byte for byte.
+    Two digests are equal if and only if all messages are, byte for byte but for their random run ids.
     """
     from fracture_collision.bag.errors import BagError
     from fracture_collision.bag.reader import message_counts, missing_words, topic_digest

@@ -13,7 +13,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 
 from fracture_collision import msg as messages
-from fracture_collision.bag.reader import message_counts, read_messages, topic_digest
+from fracture_collision.bag.cdr import serialize_record
+from fracture_collision.bag.reader import message_counts, read_messages, topic_digest, without_run_id
 from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.ros.wire.conversion import heading, to_message
@@ -105,6 +106,23 @@ def test_digests_differ_by_stream_and_ignore_repeated_messages(tmp_path: Path) -
     plain, twice, other = (topic_digest(bag, "/fragment_states") for bag in bags)
     assert plain == twice == other
     assert message_counts(bags[1])["/fragment_states"] == 41
+
+
+@pytest.mark.parametrize("frame", ["", "w", "world", "a frame"])
+def test_digests_ignore_run_ids(frame: str, tmp_path: Path) -> None:
+    """Also where the header's frame puts padding before the run id."""
+    stamp = heading(0.5)._replace(frame_id=frame)
+    answer = contacts(7)
+    messages = [
+        serialize_record(record, stamp, run_id)
+        for record, run_id in ((answer, 9), (answer, 2**62 - 1), (answer._replace(step=8), 9))
+    ]
+    bags = [
+        write(tmp_path / str(i), [("/contact_constraints", data, STEP_NS)]) for i, data in enumerate(messages)
+    ]
+    one, same, other = (topic_digest(bag, "/contact_constraints") for bag in bags)
+    assert one == same != other
+    assert without_run_id(messages[0]) == without_run_id(messages[1]) != messages[1]
 
 
 def test_rosbags_reads_it(tmp_path: Path) -> None:

@@ -69,6 +69,6 @@ def test_the_share_of_ros_and_the_longest_step_are_explained():
     assert said == (
         "The longest step is number 0, 81.0 ms, of which 70.0 are physics; the next longest takes 5.0 ms."
     )
-    said = where_time_goes(report | {"ros_ms": [10.0, 2.0], "acknowledge_ms": [1.0, 1.0]})
-    assert said.startswith("ROS takes 6.0 of the 43.0 ms of an average step, 1.0 of these to wait for subscribers")
+    said = where_time_goes(report | {"ros_ms": [10.0, 2.0]})
+    assert said.startswith("ROS takes 6.0 of the 43.0 ms of an average step; the paper's step has no such part")
     assert where_time_goes({"step": [4], "total_ms": [2.0], "collision_ms": [2.0]}).endswith("are collision detection.")

@@ -10,9 +10,8 @@ from click.testing import CliRunner
 from stages.page_client import wait_until
 
 from fracture_collision.cli.commands import main
-from fracture_collision.ros.fastdds.extras import processes_in
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
-from fracture_collision.ros.runs.run_domain import DomainTaken, run_domain
+from fracture_collision.ros.runs.run_domain import DomainTaken, processes_in, run_domain
 
 REMEDY = "End that run, or set ROS_DOMAIN_ID to another number"
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from stages.ros_stage import StageWithClients
 
-from fracture_collision.ros.fastdds.this_machine import PROFILES, RANGE, keep_to_this_machine
 from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
+from fracture_collision.ros.processes.this_machine import PROFILES, RANGE, keep_to_this_machine
 
 # A program that communicates with nodes it started, as `teleop` and `replay --ros` do. Exits at end of stdin.
 OWN_CONTEXT = """

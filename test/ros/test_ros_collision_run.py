@@ -263,4 +263,4 @@ def test_the_reason_for_held_states_is_reported() -> None:
 
 def test_bodies_and_events_are_requested_again_without_end() -> None:
     due = [second for second in range(1000) if is_time_for_log(second)]
-    assert due == [2, 4, 8, 16, 32, 64, *range(128, 1000, 128)]
+    assert due == [1, 2, 4, 8, 16, 32, 64, *range(128, 1000, 128)]

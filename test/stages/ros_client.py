@@ -45,9 +45,11 @@ class ServiceClient:
         self.details: dict[str, dict[str, str]] = {}  # status name -> its key-value pairs
         self.diagnostics_came: list[float] = []  # time.monotonic()
         self._refusals: dict[str, str] = {}
-        for topic, collected in ((qos.CONTACT_CONSTRAINTS, self.answers), (qos.FRAGMENTS, self.registries)):
+        for topic, profile, collected in (
+            (qos.CONTACT_CONSTRAINTS, qos.EACH_STEP, self.answers), (qos.FRAGMENTS, qos.FRAGMENTS.qos, self.registries)
+        ):  # fmt: skip
             self.node.create_subscription(
-                topic.message_class, topic.name, collected.append, qos.recording(topic.qos)
+                topic.message_class, topic.name, collected.append, qos.recording(profile)
             )
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 

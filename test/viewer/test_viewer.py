@@ -136,7 +136,7 @@ def report(steps: int = 400) -> dict[str, list[float]]:
         "collision_ms": rng.lognormal(1.0, 0.3, steps).tolist(),
         "update_ms": np.where(np.arange(steps) == 200, 25.0, 0.0).tolist(),
         "solver_ms": rng.lognormal(1.5, 0.3, steps).tolist(),
-        "round_trip_ms": rng.lognormal(2.0, 0.3, steps).tolist(),
+        "ros_ms": rng.lognormal(2.0, 0.3, steps).tolist(),
     }
 
 

@@ -25,7 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fracture_collision.msg import HandTarget, SimulationStatus, ThrowBall
 from fracture_collision.ros.nodes.arm_publisher import ArmPublisher
-from fracture_collision.ros.nodes.simulator_node import SimulatorNode, derived_run_id, work
+from fracture_collision.ros.nodes.simulator_node import SimulatorNode, random_run_id, work
 from fracture_collision.ros.nodes.uploaded_scenes import UPLOADS, scene_file
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare
 from fracture_collision.ros.processes.process import Fatal, run_node
@@ -132,7 +132,7 @@ class LiveSimulatorNode(SimulatorNode):
             else:
                 self._steps_allowed = max(self._steps_allowed - 1, 0)
                 self._history.keep(self._live)
-                report, _, round_trip = self._step(executor)
+                report, round_trip = self._step(executor)
                 due = max(due + self._scene.time_step / self._rate, time.monotonic() - MOST_BEHIND)
                 self._tell(report, round_trip)
                 executor.spin_once(timeout_sec=0)
@@ -157,7 +157,7 @@ class LiveSimulatorNode(SimulatorNode):
         self._next = None
         self._live.close()
         make()
-        self._run_id = derived_run_id(f"{self._scene.name}/{time.time_ns()}", self._seed)
+        self._run_id = random_run_id()
         self._registry = None  # of the run before
         self._commands.clear()
         self._reached.clear()

@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -21,7 +22,6 @@ from sensor_msgs.msg import JointState
 from fracture_collision.cdr import Received
 from fracture_collision.msg import AnswerTimes, SimulationStatus
 from fracture_collision.records import REMOVE
-from fracture_collision.ros.fastdds.extras import make_executor
 from fracture_collision.ros.nodes.page_commands import PageCommands
 from fracture_collision.ros.nodes.page_mirror import Mirror
 from fracture_collision.ros.nodes.service_settings import ServiceSettings
@@ -257,7 +257,7 @@ class PageNode(Node):
 
 
 def _work(node: PageNode) -> None:
-    executor = make_executor()
+    executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         with nothing_to_lose():

@@ -3,9 +3,10 @@
 Once a second all settled messages go to disk, so that a killed recorder leaves a readable bag. The bag's custom data
 has the settings of the service: contacts are a function of the messages and the settings.
 
-A run without its answers is no recording. States are subscribed to once the service's publisher of answers is
-discovered, so a simulator that waits for its subscribers begins with a recorder that receives the answers. A recorder
-that loses them ends with an error: DDS does not always discover a participant again whose lease has expired.
+A run that lacks steps or answers is no recording: the recorder checks the step numbers, and ends with an error if some
+are missing. States are subscribed to once the service's publisher of answers is discovered, so a simulator that waits
+for its subscribers begins with a recorder that receives the answers. DDS does not always discover a participant again
+whose lease has expired.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from fracture_collision.bag.reader import EARLIER_SETTINGS, SETTINGS
 from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
+from fracture_collision.cdr import offset_of_run_id
 from fracture_collision.ros.nodes.service_settings import ServiceSettings
 from fracture_collision.ros.processes.parameters import Declaration, declare_all
 from fracture_collision.ros.processes.process import Fatal, run_node
@@ -37,9 +39,11 @@ FLUSH_INTERVAL = 1.0  # [s]
 FEW = 3  # Fewer steps may lack their answers: those on their way when the recording ends, or when a simulator ended.
 RECENT = 64  # answers
 
-# Every message here begins with a header, whose stamp follows the four bytes of CDR's encapsulation.
+# Every message here begins with a header, whose stamp follows the four bytes of CDR's encapsulation. In states and
+# answers run_id and step follow.
 _STAMP = struct.Struct("<iI")
 _STAMP_OFFSET = 4
+_RUN_AND_STEP = struct.Struct("<QQ")
 
 
 class RecorderNode(Node):
@@ -73,6 +77,9 @@ class RecorderNode(Node):
         self._unanswered: set[int] = set()  # [ns] times of the steps without answers, since the first answer
         self._answered: deque[int] = deque(maxlen=RECENT)  # [ns] an answer may be taken before its states
         self._lacks_service = False  # at the last check
+        self._last_step: tuple[int, int] | None = None  # run id and step of the newest states
+        self._first_missed = 0
+        self._missed = 0  # steps whose states did not arrive
         for topic in RECORDED:
             if topic is not qos.FRAGMENT_STATES:
                 self._record(topic)
@@ -92,8 +99,10 @@ class RecorderNode(Node):
             if topic is not qos.DIAGNOSTICS:  # they carry wall clock time, all others simulation time
                 seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_OFFSET)
                 self._newest_time = max(seconds * 10**9 + nanoseconds, 0)  # bags have no times before the epoch
-            if topic is qos.FRAGMENT_STATES and self._newest_time not in self._answered:
-                self._unanswered.add(self._newest_time)
+            if topic is qos.FRAGMENT_STATES:
+                self._check_step(*_RUN_AND_STEP.unpack_from(clear, offset_of_run_id(clear)))
+                if self._newest_time not in self._answered:
+                    self._unanswered.add(self._newest_time)
             elif topic is qos.CONTACT_CONSTRAINTS:
                 if self._counts[topic.name] == 1:
                     self._unanswered.clear()
@@ -103,6 +112,15 @@ class RecorderNode(Node):
             self._unflushed += 1
 
         return keep
+
+    def _check_step(self, run_id: int, step: int) -> None:
+        """Simulators number steps without gaps; repeated states and a replay that goes back lack nothing."""
+        if self._last_step is not None and self._last_step[0] == run_id and step > self._last_step[1] + 1:
+            if not self._missed:
+                self._first_missed = self._last_step[1] + 1
+            self._missed += step - self._last_step[1] - 1
+            self.get_logger().error(f"states of {self._missed} steps were missed, the first is {self._first_missed}")
+        self._last_step = run_id, step
 
     def _note_settings(self, settings: dict[str, object]) -> None:
         text = json.dumps(settings)
@@ -149,8 +167,13 @@ class RecorderNode(Node):
             self._bag.flush(settled)
 
     def finish(self) -> None:
-        """Completes the bag. Raises Fatal if answers are missing in it."""
+        """Completes the bag. Raises Fatal if steps or answers are missing in it."""
         self._bag.close()
+        if self._missed:
+            raise Fatal(
+                f"the bag lacks the states of {self._missed} steps, the first is {self._first_missed}: the recorder was"
+                " late by more than the depth of the topic. Record the run again."
+            )
         if not self._records_states:
             self.get_logger().warning("no collision service was there: the bag has no states")
         if len(self._unanswered) >= FEW:

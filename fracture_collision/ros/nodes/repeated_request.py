@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from rclpy.task import Future
 
-ASK_AGAIN = 2.0  # [s]
+ASK_AGAIN = 0.5  # [s]
 
 
 class RepeatedRequest:

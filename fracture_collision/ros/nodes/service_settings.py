@@ -12,9 +12,10 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 
-from fracture_collision.ros.fastdds.extras import is_nameless
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.world.settings import OF_SERVICE
+
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rmw's name for a node of which it has discovered publishers only
 
 
 class ServiceSettings:
@@ -25,6 +26,7 @@ class ServiceSettings:
         self._topic = topic
         self._on_settings = on_settings
         self._known: bytes | None = None  # the publisher whose settings are known
+        self._values: dict[str, Any] = {}  # of the publisher asked
         self._client: Any = None
         self._request = RepeatedRequest(lambda: self._client.service_is_ready())
         self._asking: tuple[bytes, str] | None = None  # the publisher that gets the requests, and its node
@@ -33,7 +35,7 @@ class ServiceSettings:
     def look(self) -> None:
         """Sends a request to a publisher that has not responded yet. Must be called regularly."""
         publishers = self._node.get_publishers_info_by_topic(self._topic)
-        if not publishers or is_nameless(publishers[0]):
+        if not publishers or publishers[0].node_name.startswith(_UNKNOWN):
             return
         gid = bytes(publishers[0].endpoint_gid)
         name = f"{publishers[0].node_namespace.rstrip('/')}/{publishers[0].node_name}"
@@ -42,6 +44,7 @@ class ServiceSettings:
         if self._asking is None or self._asking[0] != gid:
             self._drop_client()
             self._asking = gid, name
+            self._values = {}
             self._client = self._node.create_client(GetParameters, f"{name}/get_parameters")
             self._ask()
         self._request.look()
@@ -53,8 +56,15 @@ class ServiceSettings:
     def _on_event(self, event: ParameterEvent) -> None:
         if self._asking is None or event.node != self._asking[1]:
             return
-        if any(parameter.name in OF_SERVICE for parameter in event.changed_parameters):
-            self._known = None
+        changed = {
+            parameter.name: parameter_value_to_python(parameter.value)
+            for parameter in event.changed_parameters
+            if parameter.name in OF_SERVICE
+        }
+        if changed and self._known == self._asking[0] and self._values:
+            self._values |= changed
+            self._on_settings(dict(self._values))
+        elif changed:
             self._ask()  # a response on its way may predate the change
 
     def _on_answer(self, done: Future) -> None:
@@ -66,7 +76,8 @@ class ServiceSettings:
             return
         values = [parameter_value_to_python(value) for value in done.result().values]
         if len(values) == len(OF_SERVICE) and None not in values:
-            self._on_settings(dict(zip(OF_SERVICE, values, strict=True)))
+            self._values = dict(zip(OF_SERVICE, values, strict=True))
+            self._on_settings(dict(self._values))
 
     def _drop_client(self) -> None:
         self._request.drop()

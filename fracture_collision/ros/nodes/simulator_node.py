@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import gc
-import hashlib
 import json
+import secrets
 import sys
 import time
 from pathlib import Path
@@ -12,14 +12,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 from rcl_interfaces.srv import SetParameters
-from rclpy.executors import Executor
+from rclpy.duration import Duration
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.task import Future
 
 from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
-from fracture_collision.ros.fastdds.extras import AcknowledgedPublisher, make_executor, make_neighbours
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
@@ -42,12 +42,16 @@ PAUSE_FOR_NEWCOMERS = 0.05  # [s]
 PARAMETER_PATIENCE = 5.0  # [s] for a service that is there to take its lookahead
 LOOK_INTERVAL = 0.02  # [s] between two checks for new subscribers and publishers
 
+# [s] Two announcements of each participant on this machine (config/this_machine.xml).
+DISCOVERY = 1.0
+LAST_STATES = Duration(seconds=1)  # for all subscribers to acknowledge them before their publisher goes
+
 PROGRESS_INTERVAL = 0.1  # [s]
 
 PARAMETERS = (
     Declaration("scene", "plates", "name in config/scenes, or the path of a scene file"),
     Declaration("seed", -1, "seed of the fracture patterns; -1: the scene's own", Range(-1, 2**62)),
-    Declaration("run_id", 0, "run_id of all messages; 0: from scene and seed", Range(0, 2**62)),
+    Declaration("run_id", 0, "run_id of all messages; 0: drawn at random", Range(0, 2**62)),
     Declaration("looks_ahead", True, "set the service's `lookahead` to the scene's time step, and count on it"),
     Declaration(
         "wait_for_subscribers", 1, "subscribers of states, and of contacts, before the first step", Range(0, 100)
@@ -81,12 +85,12 @@ class SimulatorNode(Node):
             raise Fatal(str(error)) from error
         self._simulation = self._make_simulation(scene, scene.seed if seed < 0 else seed)
         self._total_steps = scene.step_count
-        # The same scene and seed give the same run, so they may well share an id: recordings compare byte for byte.
-        self._run_id = run_id or derived_run_id(scene.name, scene.seed if seed < 0 else seed)
+        self._run_id = run_id or random_run_id()
 
         self._bodies, self._events = self._open_log()
-        self._neighbours = make_neighbours(self)
-        self._states = AcknowledgedPublisher(self, qos.FRAGMENT_STATES, (COLLISION_NODE,), self._neighbours)
+        topic = qos.FRAGMENT_STATES
+        self._states = self.create_publisher(topic.message_class, topic.name, topic.qos)
+        self._began = time.monotonic()
         self._time_publisher = (
             self.create_publisher(qos.CLOCK.message_class, qos.CLOCK.name, qos.CLOCK.qos)
             if given["publish_clock"]
@@ -95,11 +99,11 @@ class SimulatorNode(Node):
         self._service = self.create_client(SetParameters, f"{COLLISION_NODE}/set_parameters")
         self._lookahead = RepeatedRequest(self._service.service_is_ready)
         self._contacts_topic = self.resolve_topic_name(qos.CONTACT_CONSTRAINTS.name)  # it may be remapped
-        for topic, callback, raw in (
-            (qos.CONTACT_CONSTRAINTS, self._on_contacts, True),
-            (qos.FRAGMENTS, self._on_registry, False),
+        for topic, callback, profile, raw in (
+            (qos.CONTACT_CONSTRAINTS, self._on_contacts, qos.EACH_STEP, True),  # none of before
+            (qos.FRAGMENTS, self._on_registry, qos.FRAGMENTS.qos, False),
         ):
-            self.create_subscription(topic.message_class, topic.name, callback, topic.qos, raw=raw)
+            self.create_subscription(topic.message_class, topic.name, callback, profile, raw=raw)
         self._asked = (0, 0)
         self._contacts: ContactConstraintArray | None = None
         self._registry: FragmentRegistry | None = None
@@ -116,17 +120,17 @@ class SimulatorNode(Node):
         self._announce(self._simulation.start_bodies(), [])
         while not self._simulation.finished:
             began = time.perf_counter()
-            report, acknowledgement, round_trip = self._step(executor)
+            report, round_trip = self._step(executor)
             total = time.perf_counter() - began
             self._rows.append(
                 (
-                    report.step, report.time, report.contacts, report.fragments, total, acknowledgement, round_trip,
+                    report.step, report.time, report.contacts, report.fragments, total, round_trip,
                     report.solver_seconds, report.fracture_seconds, report.kinetic_energy, report.potential_energy,
                     report.drift_energy, report.max_speed, report.deepest_gap,
                 )
             )  # fmt: skip
             self._tell_progress()
-        self._states.flush()
+        self._states.wait_for_all_acked(LAST_STATES)
 
     def finish(self) -> None:
         """Writes the timing file, if requested; frees the physics engine."""
@@ -145,14 +149,14 @@ class SimulatorNode(Node):
         )
         return bodies, events
 
-    def _step(self, executor: Executor) -> tuple[StepReport, float, float]:
-        """Makes one step; returns its report and both times of `_ask`."""
+    def _step(self, executor: Executor) -> tuple[StepReport, float]:
+        """Makes one step; returns its report and the time of `_ask`."""
         self._publish_time()
         request = self._simulation.begin_step()
         self._announce(request.bodies, request.events)
-        contacts, registry, acknowledgement, round_trip = self._ask(request.states, executor)
+        contacts, registry, round_trip = self._ask(request.states, executor)
         self._tell_unexpected(contacts, registry)
-        return self._simulation.finish_step(contacts, registry), acknowledgement, round_trip
+        return self._simulation.finish_step(contacts, registry), round_trip
 
     def _publish_time(self) -> None:
         """Publishes the time that the next messages are stamped with."""
@@ -161,26 +165,26 @@ class SimulatorNode(Node):
             self._time_publisher.publish(qos.CLOCK.message_class(clock=stamp))
 
     def _await_subscribers(self, executor: Executor) -> None:
-        """Waits for `wait_for_subscribers`, then for all participants that are on this machine by then.
+        """Waits for `wait_for_subscribers`, and until this node has been up for DISCOVERY.
 
-        A recorder that starts with the simulator must not miss the first steps, and enough others may be discovered
-        before it.
+        A recorder that was there before must not miss the first steps, and enough others may be discovered before it.
         """
         if self._subscribers == 0:
             return
         started, said = time.monotonic(), 0.0
-        self._neighbours.are_all_known()  # starts the time that the count must stay unchanged
-        while min(self._states.subscriber_count, self.count_subscribers(self._contacts_topic)) < self._subscribers:
+        while time.monotonic() < self._began + DISCOVERY or min(self._present_subscribers()) < self._subscribers:
             executor.spin_once(timeout_sec=0.02)
             if time.monotonic() - started > said + 5.0:
                 said += 5.0
                 self.get_logger().info("waiting for the collision service (and recorders) to subscribe")
-        if not self._neighbours.await_all():
-            self.get_logger().info("not all DDS participants of this machine are discovered; continuing")
+
+    def _present_subscribers(self) -> tuple[int, int]:
+        """The number of subscribers to states, and to contacts."""
+        return self._states.get_subscription_count(), self.count_subscribers(self._contacts_topic)
 
     def _set_lookahead(self, executor: Executor) -> None:
         """Sets the service's lookahead to the time step, before states that count on it."""
-        if not self._looks_ahead or not self._states.subscriber_count:
+        if not self._looks_ahead or not self._states.get_subscription_count():
             return
         lookahead = Parameter("lookahead", value=self._simulation.time_step).to_parameter_msg()
         wanted = SetParameters.Request(parameters=[lookahead])
@@ -205,17 +209,14 @@ class SimulatorNode(Node):
 
     def _ask(
         self, states: FragmentStates, executor: Executor
-    ) -> tuple[ContactConstraintArray, FragmentRegistry, float, float]:
+    ) -> tuple[ContactConstraintArray, FragmentRegistry, float]:
         """Publishes states until their contacts and registry have arrived.
 
-        Returns both, the time the subscribers took to acknowledge the last states [s], and the time from publishing
-        these to their answer [s].
+        Returns both, and the time from publishing the states to their answer [s].
         """
         data = serialize_record(states, heading(self._simulation.time), self._run_id)
         self._asked = (states.step, states.fracture_sequence)
         self._contacts = None
-        began = time.perf_counter()
-        self._states.settle()
         published = time.perf_counter()
         self._states.publish(data)
         pause, there, has_waited = FIRST_PAUSE, None, False
@@ -226,7 +227,7 @@ class SimulatorNode(Node):
                 round_trip = time.perf_counter() - published
                 if has_waited:
                     self.get_logger().info(f"step {states.step} is answered after {round_trip:.2f} s; continuing")
-                return *answer, published - began, round_trip
+                return *answer, round_trip
             before, there = there, self._present()
             if before is not None and (there[0] > before[0] or there[1] > before[1]):
                 self.get_logger().info(f"new subscriber or publisher; publishing step {states.step} again")
@@ -238,12 +239,12 @@ class SimulatorNode(Node):
                 self.get_logger().warning(f"no answer to step {states.step} yet; publishing it again")
                 pause = min(pause * PAUSE_GROWTH, LONGEST_PAUSE)
             has_waited = True
-            self._states.publish_again(data)
+            self._states.publish(data)
             deadline = time.monotonic() + pause
 
     def _present(self) -> tuple[int, int]:
         """The number of subscribers to states, and of publishers of contacts."""
-        return self._states.subscriber_count, self.count_publishers(self._contacts_topic)
+        return self._states.get_subscription_count(), self.count_publishers(self._contacts_topic)
 
     def _answer_to(self, states: FragmentStates) -> tuple[ContactConstraintArray, FragmentRegistry] | None:
         """The contacts, and the registry with all fragments of `states`; None until both have arrived."""
@@ -302,15 +303,14 @@ def _method_of(settings: str) -> str:
         return EXACT
 
 
-def derived_run_id(scene_name: str, seed: int) -> int:
-    """A run id of 62 bits for a scene and a seed."""
-    digest = hashlib.sha256(f"{scene_name}/{seed}".encode()).digest()
-    return int.from_bytes(digest[:8], "big") >> 2 or 1
+def random_run_id() -> int:
+    """Of 62 bits, not 0."""
+    return secrets.randbelow(2**62 - 1) + 1
 
 
 def work(node: SimulatorNode) -> None:
     """Runs the node to its end, or until it is shut down."""
-    executor = make_executor()
+    executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         # otherwise the first timed step would load them

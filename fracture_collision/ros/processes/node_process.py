@@ -18,16 +18,13 @@ from pathlib import Path
 from typing import IO, Any
 
 from fracture_collision.process.full_disk import REMEDY, STATUS
-from fracture_collision.ros.fastdds.extras import (
-    LOCALHOST,
-    RANGE,
-    as_the_user_has_it,
-    discovery_port,
-    remove_unused_files,
-)
+from fracture_collision.ros.processes.shared_memory import remove_dead_segments
+from fracture_collision.ros.processes.this_machine import LOCALHOST, RANGE, as_the_user_has_it
 
 # Domains above this have ports that Linux assigns to any process (REP 2000's "safe on all platforms").
 HIGHEST_DOMAIN_ID = 101
+# DDSI-RTPS 2.2, 9.6.1.1: the first port of a domain is that of its multicast discovery.
+PORT_BASE, PORTS_A_DOMAIN = 7400, 250
 _SET_PARENT_DEATH_SIGNAL = 1  # prctl's PR_SET_PDEATHSIG
 _SESSION = Path("/proc/self/autogroup")  # of Linux
 _TRIES, _AGAIN = 10, 0.05  # [s]
@@ -49,7 +46,7 @@ def free_domain_id() -> int:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as discovery:
             try:
                 claim.bind(f"\0fracture_collision/domain/{domain_id}")
-                discovery.bind(("", discovery_port(domain_id)))
+                discovery.bind(("", PORT_BASE + PORTS_A_DOMAIN * domain_id))
             except OSError:
                 claim.close()
                 continue
@@ -72,7 +69,7 @@ def loopback_environment(domain_id: int) -> dict[str, str]:
     """Environment for nodes that communicate on this machine only, in a domain of their own.
 
     A ROS_AUTOMATIC_DISCOVERY_RANGE that the user has set stays as it is. For its other effects on a node see
-    ros/fastdds/this_machine.py.
+    this_machine.py.
     """
     environment = as_the_user_has_it(os.environ) | {"ROS_DOMAIN_ID": str(domain_id)}
     environment.setdefault(RANGE, LOCALHOST)
@@ -152,7 +149,7 @@ class NodeProcess:
                 except subprocess.TimeoutExpired:
                     continue
         status = self._process.wait()
-        remove_unused_files()
+        remove_dead_segments()
         return status
 
     def last_words(self) -> str:

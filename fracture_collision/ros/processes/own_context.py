@@ -9,8 +9,8 @@ from contextlib import contextmanager
 import rclpy
 from rclpy.context import Context
 
-from fracture_collision.ros.fastdds.extras import PROFILES, keep_to_this_machine
 from fracture_collision.ros.processes.node_process import loopback_environment
+from fracture_collision.ros.processes.this_machine import PROFILES, keep_to_this_machine
 
 
 def own_context(domain_id: int) -> Context:

@@ -13,13 +13,14 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from types import FrameType
 from typing import TypeVar
 
 import rclpy
-from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -27,22 +28,15 @@ from rclpy.node import Node
 
 from fracture_collision.process import full_disk
 from fracture_collision.process.full_disk import full_disk_words
-from fracture_collision.ros.fastdds.extras import (
-    fault_of_ports,
-    keep_to_this_machine,
-    ports_for_new_node,
-    remove_unused_files,
-)
 from fracture_collision.ros.processes.node_help import answer_to, fault_of_arguments, name_of
 from fracture_collision.ros.processes.parameters import warn_of_unknown
+from fracture_collision.ros.processes.shared_memory import remove_dead_segments
+from fracture_collision.ros.processes.this_machine import keep_to_this_machine
 
 AnyNode = TypeVar("AnyNode", bound=Node)
 
 # [s] From SIGINT or SIGTERM, or from the end of the node's work, to the end of its process, whatever DDS does.
 LONGEST_END = 10.0
-PORTS_INTERVAL = 1.0  # [s] between two checks of the node's ports
-# Consecutive checks that find a fault: Fast DDS itself reopens a port now and then.
-FAULTY_LOOKS = 3
 
 
 class Fatal(RuntimeError):
@@ -61,6 +55,13 @@ def nothing_to_lose() -> Iterator[None]:
         yield
     finally:
         _nothing_to_lose = False
+
+
+def age_of(pid: int) -> float:
+    """[s] since a process was started, in ticks of 10 ms. Raises OSError if there is none."""
+    words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    started = int(words[19])  # [ticks since boot]: field 22 of proc(5)
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - started / os.sysconf("SC_CLK_TCK")
 
 
 def _on_signal(_signal: int, _frame: FrameType | None) -> None:
@@ -95,23 +96,6 @@ def _watch_signals() -> None:
     threading.Thread(target=watch, daemon=True, name="signals").start()
 
 
-def _watch_ports(node: Node) -> None:
-    """Raises Fatal if the node's ports do not work; later, while it spins, from one of its timers."""
-    domain_id = node.context.get_domain_id()
-    if fault := fault_of_ports(domain_id):
-        raise Fatal(f"the node cannot receive messages: {fault}")
-    faults = 0
-
-    def look() -> None:
-        nonlocal faults
-        fault = fault_of_ports(domain_id)
-        faults = faults + 1 if fault else 0
-        if faults >= FAULTY_LOOKS:
-            raise Fatal(f"the node no longer receives messages: {fault}")
-
-    node.create_timer(PORTS_INTERVAL, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-
 def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) -> int:
     """Runs `work` on a node of the class `make_node`; returns the process's exit status.
 
@@ -119,7 +103,7 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
     rclpy would ignore are rejected with status 2.
 
     SIGINT and SIGTERM end it cleanly, with status 0: they are the usual way to stop a node. A process that still runs
-    LONGEST_END later ends with status 1, as does one with ports that do not work. A full disk: full_disk.STATUS.
+    LONGEST_END later ends with status 1. A full disk: full_disk.STATUS.
     """
     if (answer := answer_to(make_node, sys.argv[1:])) is not None:
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # a pager may end first
@@ -131,7 +115,7 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
     for order in (signal.SIGINT, signal.SIGTERM):
         signal.signal(order, _on_signal)
     _watch_signals()
-    remove_unused_files()  # of a killed node that this one may replace
+    remove_dead_segments()  # of a killed node that this one may replace
     keep_to_this_machine(os.environ)
     try:
         rclpy.init()
@@ -140,9 +124,7 @@ def run_node(make_node: Callable[[], AnyNode], work: Callable[[AnyNode], None]) 
         return 1
     node = None
     try:
-        with ports_for_new_node(rclpy.get_default_context().get_domain_id()):
-            node = make_node()
-        _watch_ports(node)
+        node = make_node()
         warn_of_unknown(node)
         work(node)
         return 0

@@ -16,7 +16,6 @@ SIMULATOR_COLUMNS = (
     "contacts",
     "fragments",
     "total",
-    "acknowledgement",
     "round_trip",
     "solver",
     "fracture",

@@ -8,12 +8,12 @@ from pathlib import Path
 from types import TracebackType
 
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 
 from fracture_collision.bag.cdr import deserialize_record
 from fracture_collision.bag.exchanges import Message, Question, Run, canonical
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.replay import Unanswered
-from fracture_collision.ros.fastdds.extras import make_executor
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
 from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.wire import qos
@@ -45,7 +45,7 @@ class OverDds:
         try:
             self._context = own_context(domain_id)
             self._node = rclpy.create_node("replay", context=self._context, enable_rosout=False)
-            self._executor = make_executor(context=self._context)
+            self._executor = SingleThreadedExecutor(context=self._context)
             self._executor.add_node(self._node)
             self._publishers = {
                 topic.name: self._node.create_publisher(topic.message_class, topic.name, topic.qos)

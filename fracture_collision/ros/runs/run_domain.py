@@ -6,11 +6,15 @@ import os
 import socket
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from fracture_collision.ros.fastdds.extras import processes_in
-from fracture_collision.ros.processes.node_process import default_domain_id, free_domain_id
+from fracture_collision.ros.processes.node_process import (
+    PORT_BASE,
+    PORTS_A_DOMAIN,
+    default_domain_id,
+    free_domain_id,
+)
 from fracture_collision.ros.wire.interfaces import COLLISION_NODE, LIVE_SIMULATOR_NODE, SIMULATOR_NODE
 
 OF_A_RUN = frozenset({COLLISION_NODE, SIMULATOR_NODE, LIVE_SIMULATOR_NODE})  # others may join any run
@@ -69,6 +73,29 @@ def _nodes(domain_id: int) -> str:
     commands = {pid: _command(pid) for pid in processes_in(domain_id)}
     nodes = ((pid, OF_A_RUN.intersection(Path(word).name for word in words)) for pid, words in commands.items())
     return ", ".join(f"{min(names)} (process {pid})" for pid, names in nodes if names)
+
+
+def processes_in(domain_id: int) -> list[int]:
+    """Ids of the processes of this machine with participants in the domain; those of other users only for root.
+
+    A participant of any middleware has a UDP port of the domain (DDSI-RTPS 2.2, 9.6.1.1).
+    """
+    first = PORT_BASE + PORTS_A_DOMAIN * domain_id
+    table = [line.split() for line in Path("/proc/self/net/udp").read_text().splitlines()[1:]]
+    ports = range(first, first + PORTS_A_DOMAIN)
+    links = {f"socket:[{words[9]}]" for words in table if int(words[1].rpartition(":")[2], 16) in ports}
+    if not links:
+        return []
+    pids = sorted(int(name) for name in os.listdir("/proc") if name.isdigit())
+    return [pid for pid in pids if not links.isdisjoint(_open_files(pid))]
+
+
+def _open_files(pid: int) -> Iterator[str]:
+    """What a process has open; nothing if we may not know, or it has ended."""
+    with suppress(OSError):
+        for file in Path(f"/proc/{pid}/fd").iterdir():
+            with suppress(OSError):  # closed in the meantime
+                yield os.readlink(file)
 
 
 def _owner(name: str) -> str:

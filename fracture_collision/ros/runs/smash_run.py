@@ -108,9 +108,7 @@ def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
 
     total_ms: the whole step. collision_ms: broad and narrow phase. update_ms: applying fracture events, in steps that
     brought some, else 0. solver_ms: contact solver. fracture_ms: making the patterns of what breaks. physics_ms: the
-    rest of the simulator's part. ros_ms: all else; of that, round_trip_ms from states published to contacts received,
-    less collision and update; acknowledge_ms before that, until all subscribers had acknowledged the last states
-    (acknowledged_publisher.py).
+    rest of the simulator's part. ros_ms: from states published to contacts received, less collision and update.
     """
     answers = {name: service[:, column] for column, name in enumerate(SERVICE_COLUMNS)}
     report = {name: simulator[:, column] for column, name in enumerate(SIMULATOR_COLUMNS)}
@@ -122,17 +120,14 @@ def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
     rows = np.array([row_of[int(step)] for step in report["step"]], dtype=np.int64)
     collision, update = answers["collision"][rows], answers["update"][rows]
     broke = np.diff(answers["fracture_sequence"][rows], prepend=0.0) > 0
-    waited = report["acknowledgement"] + report["round_trip"]
     milliseconds = {
         "total_ms": report["total"],
         "collision_ms": collision,
         "update_ms": np.where(broke, update, 0.0),
-        "physics_ms": report["total"] - waited - report["fracture"],
+        "physics_ms": report["total"] - report["round_trip"] - report["fracture"],
         "solver_ms": report["solver"],
         "fracture_ms": report["fracture"],
-        "ros_ms": waited - collision - update,
-        "acknowledge_ms": report["acknowledgement"],
-        "round_trip_ms": report["round_trip"] - collision - update,
+        "ros_ms": report["round_trip"] - collision - update,
     }
     columns = {name: 1e3 * values for name, values in milliseconds.items()}
     for name in ("time", "kinetic_energy", "potential_energy", "drift_energy", "max_speed", "deepest_gap"):

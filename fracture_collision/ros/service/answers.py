@@ -9,17 +9,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from time import perf_counter
 
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from fracture_collision.cdr import Heading
 from fracture_collision.records import ADD, CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
-from fracture_collision.ros.fastdds.extras import AcknowledgedPublisher, Neighbours
 from fracture_collision.ros.processes.parameters import Declaration, declare
 from fracture_collision.ros.processes.process import Fatal
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, RowFile
 from fracture_collision.ros.service.collision_run import CollisionRun
 from fracture_collision.ros.service.diagnostics import AnswerTimes
-from fracture_collision.ros.wire import interfaces, qos
+from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.cdr_records import serialize_record
 from fracture_collision.ros.wire.contact_poses import serialize_contact_poses
 from fracture_collision.ros.wire.conversion import header_of, to_message
@@ -27,15 +28,14 @@ from fracture_collision.ros.wire.markers import MarkersPublisher
 from fracture_collision.world.settings import settings_text
 
 TIMING_FILE = Declaration("timing_file", "", ".npy file for the times of each answer; '': none")
-SIMULATORS = (interfaces.SIMULATOR_NODE, interfaces.LIVE_SIMULATOR_NODE)
+LAST_MESHES = Duration(seconds=0.5)  # for all subscribers to acknowledge those of a run that is over
 
 
 class Answers:
     """Publishers of a node. Parameter: timing_file."""
 
-    def __init__(self, node: Node, neighbours: Neighbours) -> None:
+    def __init__(self, node: Node) -> None:
         self._node = node
-        self._neighbours = neighbours
         timing_file = declare(node, TIMING_FILE)
         self._rows = _row_file(timing_file) if timing_file else None
         self._registry_version: tuple[int, int, int, int, str] | None = None
@@ -44,19 +44,14 @@ class Answers:
         self.times = AnswerTimes()
         self.last = "no answer yet"
 
-        self._contacts = AcknowledgedPublisher(node, qos.CONTACT_CONSTRAINTS, SIMULATORS, neighbours)
-        self._fragments = AcknowledgedPublisher(node, qos.FRAGMENTS, SIMULATORS, neighbours)
-        self._meshes = AcknowledgedPublisher(node, qos.FRAGMENT_MESHES, neighbours=neighbours)
-        self._markers = MarkersPublisher(node)
-        self._answer_times, self._poses = (
-            node.create_publisher(topic.message_class, topic.name, topic.qos)
-            for topic in (qos.ANSWER_TIMES, qos.CONTACT_POSES)
+        self._contacts, self._fragments, self._meshes, self._answer_times, self._poses = map(
+            self._publisher_of,
+            (qos.CONTACT_CONSTRAINTS, qos.FRAGMENTS, qos.FRAGMENT_MESHES, qos.ANSWER_TIMES, qos.CONTACT_POSES),
         )
+        self._markers = MarkersPublisher(node)
 
-    @property
-    def overtaken(self) -> int:
-        """Messages followed by the next one before all subscribers had acknowledged them."""
-        return self._contacts.overtaken + self._fragments.overtaken
+    def _publisher_of(self, topic: qos.Topic) -> Publisher:
+        return self._node.create_publisher(topic.message_class, topic.name, topic.qos)
 
     def forget(self) -> None:
         """Starts a new run."""
@@ -64,8 +59,9 @@ class Answers:
         self._markers.forget()
         if self._meshes_published:
             # A latched publisher sends its whole history to late joiners; these fragments are gone.
-            self._meshes.close()
-            self._meshes = AcknowledgedPublisher(self._node, qos.FRAGMENT_MESHES, neighbours=self._neighbours)
+            self._meshes.wait_for_all_acked(LAST_MESHES)  # or a recorder would miss the last ones
+            self._node.destroy_publisher(self._meshes)
+            self._meshes = self._publisher_of(qos.FRAGMENT_MESHES)
             self._meshes_published.clear()
 
     def close(self) -> None:
@@ -123,7 +119,7 @@ class Answers:
 
     def _publish_meshes(self, run: CollisionRun, heading: Heading) -> None:
         """Publishes meshes of fragments that have none on the topic yet, while there are subscribers."""
-        if self._meshes_version == self._registry_version or self._meshes.subscriber_count == 0:
+        if self._meshes_version == self._registry_version or self._meshes.get_subscription_count() == 0:
             return
         self._meshes_version = self._registry_version
         for fragment_id in run.world.fragments().fragment_ids.tolist():

@@ -10,21 +10,21 @@ import gc
 import os
 import sys
 import time
+from collections import deque
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from fracture_collision.cdr import Received
-from fracture_collision.ros.fastdds.extras import age_of, make_executor, make_neighbours
 from fracture_collision.ros.processes.parameters import SETTINGS, SettingsParameters, unknown_parameters
-from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
+from fracture_collision.ros.processes.process import Fatal, age_of, nothing_to_lose, run_node
 from fracture_collision.ros.service.answers import TIMING_FILE, Answers
 from fracture_collision.ros.service.collision_run import CollisionRun, Refusal
 from fracture_collision.ros.service.diagnostics import RefusalCounts, diagnostic_array, settings_status, status
-from fracture_collision.ros.service.incoming import ALLOW_TAKEOVER, Incoming
+from fracture_collision.ros.service.incoming import Incoming
 from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.world import InvalidMessage, Settings
 from fracture_collision.world.settings import values_of
@@ -32,7 +32,8 @@ from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
 
 # [s] After states were held for so long, bodies and events are requested again. They are latched and arrive by
 # themselves, but discovery sometimes omits a reader that appeared while others were killed. The last pause repeats.
-LOG_PAUSES = (2, 4, 8, 16, 32, 64, 128)
+LOG_PAUSES = (1, 2, 4, 8, 16, 32, 64, 128)
+PAST_RUNS = 64  # whose late messages are recognized
 NO_BODY_SEQUENCE = (
     "states are answered, but have no body_sequence: answers would lack a static body that has not arrived. Number the"
     " bodies (sequence 1, 2, 3 ...) and set body_sequence to the number of those published before the states"
@@ -42,7 +43,7 @@ NO_BODY_SEQUENCE = (
 class CollisionNode(Node):
     """Answers each FragmentStates with one ContactConstraintArray of the same step."""
 
-    PARAMETERS = (*SETTINGS, ALLOW_TAKEOVER, TIMING_FILE)
+    PARAMETERS = (*SETTINGS, TIMING_FILE)
     INTERFACE = interfaces.COLLISION
     EXAMPLES = (
         "--ros-args -p penetration_tolerance:=0.001 -p contacts_per_pair:=16",
@@ -57,6 +58,7 @@ class CollisionNode(Node):
             raise Fatal(str(error)) from error
         self._phase = "starting"
         self._run: CollisionRun | None = None
+        self._past_runs: deque[int] = deque(maxlen=PAST_RUNS)  # ids
         self._next_run: CollisionRun | None = None  # of events that arrived before the first body of their run
         self._held: Received | None = None  # the newest states that cannot be answered yet
         self._seconds_held = 0
@@ -66,10 +68,8 @@ class CollisionNode(Node):
         self._warning = ""  # for the next message on /diagnostics
         self._without_effect: list[str] = []  # parameters, described
 
-        self._neighbours = make_neighbours(self)
         self._incoming = Incoming(
             self,
-            self._neighbours,
             lambda: self._settings.max_message_bytes,
             {
                 qos.BODIES.name: self._on_body,
@@ -77,10 +77,9 @@ class CollisionNode(Node):
                 qos.FRAGMENT_STATES.name: self._on_states,
             },
             self._note,
-            self._forget_run,
             self._on_unreadable,
         )
-        self._answers = Answers(self, self._neighbours)
+        self._answers = Answers(self)
         self._diagnostics = self.create_publisher(
             qos.DIAGNOSTICS.message_class, qos.DIAGNOSTICS.name, qos.DIAGNOSTICS.qos
         )
@@ -110,12 +109,9 @@ class CollisionNode(Node):
             self._phase = f"{doing}; {text}"
             self.get_logger().info(self._phase)
             self._publish_diagnostics()
-            self._neighbours.are_all_known()  # starts the time that the count must stay unchanged
 
         with nothing_to_lose():
             compile_kernels(progress=progress)
-            if not self._neighbours.await_all():
-                self.get_logger().info("not all DDS participants of this machine are discovered; continuing")
         self._incoming.listen()
         self._phase = "ready"
         self.get_logger().info(f"ready, {age_of(os.getpid()):.2f} s after its process was started")
@@ -132,18 +128,24 @@ class CollisionNode(Node):
     def _on_body(self, message: Received) -> None:
         run = self._run
         if run is None or message.run_id != run.run_id:
+            if message.record.sequence > 1 and self._is_over(qos.BODIES, message.run_id):
+                return
             run = self._start_run(message.run_id)
         self._note(*run.add_body(message.record))
         self._answers.add_body(run, message.record)
         self._go_on(run)
 
     def _on_fracture(self, message: Received) -> None:
+        if self._is_over(qos.FRACTURE_EVENTS, message.run_id):
+            return
         run = self._run_of_event(message.run_id)
         self._note(*run.add_fracture(message.record))
         self._go_on(run)
 
     def _on_unreadable(self, topic: qos.Topic, run_id: int, sequence: int, reason: str) -> None:
         if topic is qos.FRACTURE_EVENTS:
+            if self._is_over(topic, run_id):
+                return
             run = self._run_of_event(run_id)
             run.reject_fracture(sequence, reason)
         elif self._run is not None and run_id == self._run.run_id:
@@ -167,6 +169,8 @@ class CollisionNode(Node):
         self._answer_held()
 
     def _on_states(self, message: Received) -> None:
+        if self._is_over(qos.FRAGMENT_STATES, message.run_id):
+            return
         self._replaced_states += self._held is not None
         self._held = message
         self._answer_held()
@@ -174,15 +178,28 @@ class CollisionNode(Node):
     def _start_run(self, run_id: int) -> CollisionRun:
         """Discards the last run. Only a body starts a run: late events and states of an earlier run must not."""
         waiting = self._next_run
+        if self._run is not None:
+            self._past_runs.append(self._run.run_id)
         self._run = run = waiting if waiting and waiting.run_id == run_id else CollisionRun(run_id, self._settings)
         self._next_run = None
         self._answers.forget()
-        self.get_logger().info(f"run {run_id} begins; publisher: {self._incoming.followed}", throttle_duration_sec=1.0)
+        self.get_logger().info(f"run {run_id} begins", throttle_duration_sec=1.0)
         return run
 
-    def _forget_run(self) -> None:
-        self._run = self._next_run = self._held = None
-        self._answers.forget()
+    def _is_over(self, topic: qos.Topic, run_id: int) -> bool:
+        """Whether the run was replaced by another one; then its message is reported as rejected.
+
+        Its simulator may still be there, a second one on the same topics. Its first body would begin it again, as when
+        a bag is played in a loop.
+        """
+        if self._run is None or run_id == self._run.run_id or run_id not in self._past_runs:
+            return False
+        reason = (
+            f"run {run_id} is over: run {self._run.run_id} has begun since. If two simulators publish on these topics,"
+            " end one, or start it in another namespace or ROS_DOMAIN_ID"
+        )
+        self._note(Refusal(topic.name, "other_run", reason))
+        return True
 
     def _note(self, *refusals: Refusal) -> None:
         for refusal in refusals:
@@ -236,7 +253,7 @@ class CollisionNode(Node):
         if self._held is not None and is_time_for_log(self._seconds_held):
             self.get_logger().warning(f"{self._said_of(self._held)}; requesting bodies and events again")
             self._incoming.ask_for_log()
-        self._incoming.look_around()
+        self._incoming.look()
         self._publish_diagnostics()
 
     def _said_of(self, held: Received) -> str:
@@ -252,10 +269,6 @@ class CollisionNode(Node):
         run, incoming = self._run, self._incoming
         values = {
             "phase": self._phase,
-            "follows": incoming.followed,
-            "refused for it": ", ".join(incoming.waiting) or "none",
-            "slow subscribers": self._neighbours.said_of_the_slow(),
-            "messages overtaken before all had them": self._answers.overtaken,
             "states dropped for newer ones": incoming.dropped_states + self._replaced_states,
             "events held": sum(one.held_event_count for one in (run, self._next_run) if one is not None),
         }
@@ -267,15 +280,13 @@ class CollisionNode(Node):
                 "states name the bodies before them": not run.lacks_body_sequence,
             }
         message = self._phase
-        if self._neighbours.slow:
-            message += "; some subscribers are slow and may miss messages"
         rejected = run.rejected_event if run is not None else ""
         if rejected:
             message = rejected
         if self._held is not None:
             message = self._said_of(self._held)
         message = self._warning or message
-        is_fine = self._held is None and not self._neighbours.slow and not rejected and not self._warning
+        is_fine = self._held is None and not rejected and not self._warning
         level = DiagnosticStatus.OK if is_fine else DiagnosticStatus.WARN
         self._warning = ""
         self._diagnostics.publish(
@@ -296,7 +307,7 @@ def is_time_for_log(seconds_held: int) -> bool:
 def _work(node: CollisionNode) -> None:
     # One thread: contacts depend on the order in which bodies, events and states are applied, and on nothing else.
     # Created before the node reports that it is ready: after a shutdown none can be created.
-    executor = make_executor()
+    executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         node.prepare()

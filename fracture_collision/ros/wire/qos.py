@@ -47,8 +47,26 @@ LATCHED_NEWEST = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
-# Only the newest step is worth an answer.
+# [messages] A subscriber may be late by this many steps before one is overwritten. Publishers do not wait for it; the
+# recorder checks the step numbers.
+STEP_DEPTH = 64
 EACH_STEP = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=STEP_DEPTH,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+
+# A restarted service may answer before it has discovered a recorder, which asks for the answers that it missed.
+EACH_ANSWER = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=STEP_DEPTH,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+# Of these only the newest counts.
+NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
@@ -68,30 +86,30 @@ class Topic(NamedTuple):
 BODIES = Topic("bodies", CollisionBody, LATCHED, "bodies as they are before anything breaks")
 FRACTURE_EVENTS = Topic("fracture_events", FractureEvent, LATCHED, "fragments that break")
 FRAGMENT_STATES = Topic("fragment_states", FragmentStates, EACH_STEP, "poses and velocities at one step")
-CONTACT_CONSTRAINTS = Topic("contact_constraints", ContactConstraintArray, EACH_STEP, "contacts of these states")
+CONTACT_CONSTRAINTS = Topic("contact_constraints", ContactConstraintArray, EACH_ANSWER, "contacts of these states")
 FRAGMENTS = Topic("fragments", FragmentRegistry, LATCHED_NEWEST, "all living fragments: masses, inertias")
 FRAGMENT_MESHES = Topic("fragment_meshes", FragmentMesh, LATCHED, "surfaces, made while subscribed to")
 
 # For RViz and Foxglove (ros/wire/markers.py): for late joiners the last message.
 MARKERS = Topic("markers", MarkerArray, LATCHED_NEWEST, "surfaces and contacts to look at")
 # For PlotJuggler and Foxglove (ros/wire/contact_poses.py).
-CONTACT_POSES = Topic("contact_poses", PoseArray, EACH_STEP, "a pose per contact, z along its normal")
-ANSWER_TIMES = Topic("answer_times", AnswerTimes, EACH_STEP, "times of one answer")
+CONTACT_POSES = Topic("contact_poses", PoseArray, NEWEST, "a pose per contact, z along its normal")
+ANSWER_TIMES = Topic("answer_times", AnswerTimes, NEWEST, "times of one answer")
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, QoSProfile(depth=10), "state, times, counts, rejections; 1 Hz")
 
 # Simulation time, for nodes with use_sim_time. rclcpp and rclpy subscribe best-effort, `ros2 topic echo` may not.
-CLOCK = Topic("/clock", Clock, EACH_STEP, "simulation time")
+CLOCK = Topic("/clock", Clock, NEWEST, "simulation time")
 
 # Inputs and outputs of a live scene (live_simulator_node.py). Of velocities and hand targets only the newest counts, of
 # balls all. Topics of standard tools are relative, those that only this node has are private.
 COMMANDS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 THROW_BALL = Topic("~/throw_ball", ThrowBall, COMMANDS, "a ball to throw into the scene")
-HAND_TARGET = Topic("~/hand_target", HandTarget, EACH_STEP, "a hand that drags a fragment")
-SIMULATION_STATUS = Topic("~/status", SimulationStatus, EACH_STEP, "step, times, rate, last rejected command")
-CMD_VEL = Topic("cmd_vel", Twist, EACH_STEP, "velocity of the hammer: linear, world axes")
+HAND_TARGET = Topic("~/hand_target", HandTarget, NEWEST, "a hand that drags a fragment")
+SIMULATION_STATUS = Topic("~/status", SimulationStatus, NEWEST, "step, times, rate, last rejected command")
+CMD_VEL = Topic("cmd_vel", Twist, NEWEST, "velocity of the hammer: linear, world axes")
 # Of an arm: target and actual positions of its joints; only `name` and `position` of a command count.
 JOINT_COMMANDS = Topic("joint_commands", JointState, COMMANDS, "target angles of the arm's joints")
-JOINT_STATES = Topic("joint_states", JointState, EACH_STEP, "angles and speeds of the arm's joints")
+JOINT_STATES = Topic("joint_states", JointState, NEWEST, "angles and speeds of the arm's joints")
 # QoS as of robot_state_publisher and of tf2_ros's broadcasters.
 ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED_NEWEST, "the arm as URDF")
 TF = Topic("/tf", TFMessage, QoSProfile(depth=100), "frames of the arm's links, each in that of the link before")

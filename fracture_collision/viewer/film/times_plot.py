@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 # Drawn if the report has them: a run in one process has no round trip, a run over ROS no total.
 OPTIONAL_CURVES = (
-    ("round_trip_ms", "ROS round trip", "#7f7f7f"),
+    ("ros_ms", "ROS", "#7f7f7f"),
     ("total_ms", "whole step", "#17becf"),
 )
 CURVES = (

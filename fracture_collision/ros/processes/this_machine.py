@@ -41,17 +41,6 @@ def as_the_user_has_it(environment: Mapping[str, str]) -> dict[str, str]:
     return given
 
 
-def has_known_transports(environment: Mapping[str, str]) -> bool:
-    """Whether a participant created with `environment` has Fast DDS's default transports or those of our own profile.
-
-    False for a user's own profiles and other middleware: their transports are unknown.
-    """
-    profiles = {environment.get(name, "") for name in PROFILES} - {""}
-    if not _is_fast_dds() or profiles - {_profile()}:
-        return False
-    return bool(profiles) or environment.get("FASTDDS_BUILTIN_TRANSPORTS", "DEFAULT") == "DEFAULT"
-
-
 def _is_fast_dds() -> bool:
     return get_rmw_implementation_identifier().startswith("rmw_fastrtps")
 
