@@ -116,7 +116,7 @@ def _filled(file: Path, size: float) -> TetGeometry:
 
 def _own_scene(filled: TetGeometry | None, out: Path, folder: Path) -> Path:
     """Writes mesh and scene to `folder`; None: copies those of an earlier run from `out`."""
-    from fracture_collision.simulation.engine.own_body import write_own_scene
+    from fracture_collision.simulation.scene.scene_changes import write_own_scene
 
     scene = folder / OWN_SCENE
     if filled is None:

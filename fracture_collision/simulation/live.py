@@ -15,7 +15,7 @@ import numpy as np
 
 from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.actors.arm import PARTS
-from fracture_collision.simulation.actors.hammer import Hammer
+from fracture_collision.simulation.actors.hand import Hammer
 from fracture_collision.simulation.config.shapes import Shape
 from fracture_collision.simulation.scene.scene import Material, Scene, SceneBody
 from fracture_collision.simulation.simulation import Simulation

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 from fracture_collision.cli.smash import _filled, _own_scene, smash
 from fracture_collision.geometry.generators import TetGeometry, ball
 from fracture_collision.lockstep import Lockstep
-from fracture_collision.simulation.engine.own_body import own_body_scene
 from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.simulation.scene.scene_changes import own_body_scene
 from fracture_collision.world import Settings
 
 

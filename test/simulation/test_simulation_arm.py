@@ -16,9 +16,18 @@ from scipy.spatial.transform import Rotation
 
 from fracture_collision.lockstep import Exchange, Lockstep
 from fracture_collision.share import share_directory
-from fracture_collision.simulation.actors.arm import JOINTS, MOVING, PARTS, URDF, ArmKinematics, Part, require_within
+from fracture_collision.simulation.actors.arm import (
+    JOINTS,
+    MOVING,
+    PARTS,
+    URDF,
+    ArmKinematics,
+    Part,
+    link_frames,
+    read_chain,
+    require_within,
+)
 from fracture_collision.simulation.config.shapes import Shape
-from fracture_collision.simulation.config.urdf_chain import link_frames, read_chain
 from fracture_collision.simulation.live import CommandRefused, LiveScene
 from fracture_collision.simulation.rotations import from_euler_angles
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, parse_scene

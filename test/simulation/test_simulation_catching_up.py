@@ -7,7 +7,7 @@ import pytest
 
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.catching_up import CATCH_UP, Waited, extra_times
-from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.engine import BodyStates
 from fracture_collision.simulation.scene.scene import Scene, parse_scene
 from fracture_collision.simulation.solver.contact_solver import BodyPairs
 from fracture_collision.world import Settings

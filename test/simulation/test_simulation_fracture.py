@@ -7,7 +7,7 @@ import pytest
 from truth.simulation_oracle import Oracle
 
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.engine import RigidBodyWorld
 from fracture_collision.simulation.scene.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 

@@ -6,8 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.records import ContactConstraintArray, FragmentStates
-from fracture_collision.simulation.solver.contact_memory import NOTHING, with_remembered
-from fracture_collision.simulation.solver.rest_gaps import rest_gaps_of
+from fracture_collision.simulation.solver.contact_memory import NOTHING, rest_gaps_of, with_remembered
 
 REACH = np.full(2, 2.5e-4)  # of each pair; the tests have one or two
 

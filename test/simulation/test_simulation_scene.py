@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fracture_collision.simulation.scene.scene import SceneError, load_scene, parse_scene
-from fracture_collision.simulation.scene.scene_records import collision_body
+from fracture_collision.simulation.scene.scene import SceneError, collision_body, load_scene, parse_scene
 from fracture_collision.simulation.simulation import Simulation
 
 VALID = {

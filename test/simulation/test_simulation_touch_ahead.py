@@ -16,9 +16,7 @@ from benchmarks.tunnelling import TIME_STEP, run_trial, scene_of
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.scene.scene import parse_scene
-from fracture_collision.simulation.solver.inertia_boxes import Boxes, boxes_of
-from fracture_collision.simulation.solver.side_by_side import shares_side_by_side
-from fracture_collision.simulation.solver.straight_motion import Motion
+from fracture_collision.simulation.solver.side_by_side import Boxes, Motion, boxes_of, shares_side_by_side
 from fracture_collision.simulation.solver.touch_ahead import Touches, shares_until_touch, split_by_gap
 from fracture_collision.world import Settings
 

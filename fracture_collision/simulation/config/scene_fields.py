@@ -1,4 +1,7 @@
-"""Fields of a scene file, consumed one by one; every error is a SceneError that names the field."""
+"""Scene files as plain data of bounded size, and their fields, consumed one by one.
+
+Every error is a SceneError that names the file or the field.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,13 @@ import reprlib
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fracture_collision.near_names import did_you_mean
-from fracture_collision.plain_yaml import shortened
+from fracture_collision.plain_yaml import YamlError, load_yaml, shortened
 
 
 class SceneError(ValueError):
@@ -162,3 +166,32 @@ def numbers(fields: Fields, defaults: Any) -> Any:
 def meaning(record: Any, key: str) -> str:
     """What the documentation of a NamedTuple says about its field."""
     return getattr(type(record), key).__doc__
+
+
+MAX_SCENE_BYTES = 1_000_000
+MAX_TRACK_BYTES = 20_000_000  # hours of a hand, at one row per step
+
+
+def read_text(file: Path, most_bytes: int) -> str:
+    """The text of a regular file of at most `most_bytes`; raises SceneError."""
+    try:
+        if not file.is_file():  # a device or a pipe may never end
+            raise SceneError(f"{file}: no such file")
+        with file.open("rb") as stream:
+            data = stream.read(most_bytes + 1)
+    except (OSError, ValueError) as error:
+        raise error if isinstance(error, SceneError) else SceneError(f"{file}: {error}") from error
+    if len(data) > most_bytes:
+        raise SceneError(f"{file}: more than {most_bytes} bytes")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{file}: not UTF-8: {error}") from error
+
+
+def read_yaml(file: Path) -> Any:
+    """Content of a YAML file: mappings, lists, texts and numbers, no objects; raises SceneError."""
+    try:
+        return load_yaml(read_text(file, MAX_SCENE_BYTES))
+    except YamlError as error:
+        raise SceneError(f"{file}: {error}") from error

@@ -16,11 +16,11 @@ import numpy as np
 from fracture_collision.fracture.pattern import PatternSettings
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.near_names import did_you_mean
+from fracture_collision.records import BOX, SPHERE, CollisionBody, SolidPrimitive
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
 from fracture_collision.simulation.actors.hand import Hand, parse_hand
-from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, numbers, quoted
-from fracture_collision.simulation.config.scene_files import read_yaml
+from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, numbers, quoted, read_yaml
 from fracture_collision.simulation.config.shapes import Shape, parse_shape
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
@@ -283,3 +283,27 @@ def _body(
         raise SceneError(f"{fields.name('static')}: a static body has no start time and no velocity")
     fields.finish()
     return body
+
+
+def collision_body(body_id: int, body: SceneBody) -> CollisionBody:
+    """`body` as CollisionBody; its one fragment has the same number as the body."""
+    shape, material = body.shape, body.material
+    record = CollisionBody(
+        body_id=body_id,
+        fragment_id=body_id,
+        name=body.name,
+        is_static=body.is_static,
+        density=material.density,
+        friction=material.friction,
+        restitution=material.restitution,
+    )
+    if shape.kind == "plane":
+        return record._replace(plane=np.array(shape.plane))
+    if shape.kind == "box":
+        return record._replace(primitive=SolidPrimitive(BOX, shape.size))
+    if shape.kind == "sphere":
+        return record._replace(primitive=SolidPrimitive(SPHERE, (shape.radius,)))
+    assert shape.mesh is not None  # as in every shape of another kind
+    return record._replace(
+        vertices=shape.mesh.vertices.ravel(), tetrahedra=shape.mesh.tetrahedra.astype(np.uint32).ravel()
+    )
