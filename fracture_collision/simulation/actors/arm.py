@@ -20,8 +20,7 @@ from scipy.interpolate import PchipInterpolator
 from fracture_collision.portable_math import cosine, lengths, sine
 from fracture_collision.records import documented
 from fracture_collision.share import share_directory
-from fracture_collision.simulation.actors.hand import rows_of_file
-from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, meaning, quoted
+from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError
 from fracture_collision.simulation.config.shapes import Shape
 from fracture_collision.simulation.rotations import (
     DEGREE,
@@ -231,22 +230,15 @@ def robot_description() -> str:
 
 def parse_arm(fields: Fields, folder: Path | None) -> Arm:
     """`swing` is a CSV file beside the scene, or a list of its rows: a time [s] and seven angles [degrees]."""
-    default = ArmSettings()
-    values = default._asdict()
-    settings = ArmSettings(*[fields.number(key, meaning(default, key), values[key], above=0.0) for key in values])
+    settings = ArmSettings(**fields.numbers(ArmSettings, above=ArmSettings._fields))
     position = fields.vector("position", "[m] of its foot", 3, (0.0, 0.0, 0.0))
     rotation = fields.vector("rotation", f"[degrees] of its foot, {ROTATION}", 3, (0.0, 0.0, 0.0))
     orientation = from_euler_angles(DEGREE * rotation)
     words = "rows of time [s] and seven joint angles [degrees]; it stands as in the first row until then"
-    swing, path = fields.take("swing", words, kind="CSV file, or list of rows"), fields.name("swing")
-    if isinstance(swing, str):
-        swing = rows_of_file((folder or Path()) / swing, path, COLUMNS)
-    if not isinstance(swing, list) or not swing:
-        raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {quoted(swing)}")
+    rows, _ = fields.timed_rows("swing", words, COLUMNS, folder)
     fields.finish()
-    rows = _rows(swing, path)
     arm = Arm(settings, position, orientation, rows[:, 0].copy(), DEGREE * rows[:, 1:])
-    _require_possible(arm, joint_limits(), path)
+    _require_possible(arm, joint_limits(), fields.name("swing"))
     return arm
 
 
@@ -259,20 +251,6 @@ def require_within(limits: JointLimits, angles: Sequence[float] | np.ndarray) ->
 
 def _file() -> Path:
     return share_directory() / URDF
-
-
-def _rows(swing: list, path: str) -> np.ndarray:
-    rows = np.empty((len(swing), len(COLUMNS)))
-    for i, row in enumerate(swing):
-        try:
-            rows[i] = [float(number) for number in row]
-        except (ValueError, TypeError) as error:
-            raise SceneError(f"{path}[{i}]: needs {', '.join(COLUMNS)}, got {quoted(row)}") from error
-        if not np.all(np.isfinite(rows[i])):
-            raise SceneError(f"{path}[{i}]: needs finite numbers, got {quoted(row)}")
-        if i and rows[i, 0] <= rows[i - 1, 0]:
-            raise SceneError(f"{path}[{i}]: time {rows[i, 0]} s does not follow {rows[i - 1, 0]} s")
-    return rows
 
 
 def _require_possible(arm: Arm, limits: JointLimits, path: str) -> None:

@@ -14,11 +14,10 @@ breaks what it meets as any body's would. It does not turn.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,12 +25,9 @@ from fracture_collision.portable_math import images, inverses, lengths, products
 from fracture_collision.records import documented
 from fracture_collision.simulation.breakable_body import BreakableBody
 from fracture_collision.simulation.config.scene_fields import (
-    MAX_TRACK_BYTES,
     Fields,
     SceneError,
-    meaning,
     quoted,
-    read_text,
 )
 from fracture_collision.simulation.engine import BodyStates
 from fracture_collision.simulation.rotations import turned_back, turned_by
@@ -89,22 +85,17 @@ class Grip(NamedTuple):
 
 def parse_hand(fields: Fields, folder: Path | None, names: list[str]) -> Hand:
     """`track` is a CSV file beside the scene, or a list of its rows; `names`: the bodies that the hand may hold."""
-    default = HandSettings()
-    settings = HandSettings(
-        fields.number("frequency", meaning(default, "frequency"), default.frequency, above=0.0),
-        fields.number("damping_ratio", meaning(default, "damping_ratio"), default.damping_ratio, minimum=0.0),
-        fields.number("force_limit", meaning(default, "force_limit"), default.force_limit, above=0.0),
-    )
+    settings = HandSettings(**fields.numbers(HandSettings, above=("frequency", "force_limit")))
     words = "rows of time [s], x, y, z [m] of the hand, and the name of the body that it holds from then on, or nothing"
-    track, path = fields.take("track", words, kind="CSV file, or list of rows"), fields.name("track")
-    if isinstance(track, str):
-        rows = rows_of_file((folder or Path()) / track, path, COLUMNS)
-    elif isinstance(track, list):
-        rows = track
-    else:
-        raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {quoted(track)}")
+    rows, holds = fields.timed_rows("track", words, COLUMNS, folder, texts=1)
     fields.finish()
-    return Hand(settings, _track(rows, path, names))
+    path = fields.name("track")
+    if len(rows) < 2:
+        raise SceneError(f"{path}: needs at least two rows")
+    for i, (name,) in enumerate(holds):
+        if name and name not in names:
+            raise SceneError(f"{path}[{i}]: no body {quoted(name)} that can move")
+    return Hand(settings, HandTrack(rows[:, 0].copy(), rows[:, 1:].copy(), tuple(name for (name,) in holds)))
 
 
 class HeldBody(NamedTuple):
@@ -138,38 +129,6 @@ def kick(
     size = float(lengths(impulse))
     impulse *= min(1.0, settings.force_limit * time_step / size) if size > 0.0 else 1.0
     return np.concatenate((impulse / mass, images(inverse, images(arm, impulse))))
-
-
-def rows_of_file(file: Path, path: str, columns: list[str]) -> list[list[str]]:
-    """Rows of a CSV file with the header `columns`; `path` is the field that names the file. Raises SceneError."""
-    try:
-        lines = read_text(file, MAX_TRACK_BYTES).splitlines(keepends=True)
-        rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
-    except (SceneError, csv.Error) as error:
-        raise SceneError(f"{path}: {error}") from error
-    if not rows or rows[0] != columns:
-        raise SceneError(f"{path}: {file} does not begin with the columns {','.join(columns)}")
-    return rows[1:]
-
-
-def _track(rows: list[Any], path: str, names: list[str]) -> HandTrack:
-    if len(rows) < 2:
-        raise SceneError(f"{path}: needs at least two rows")
-    values, holds = np.empty((len(rows), 4)), []
-    for i, row in enumerate(rows):
-        try:
-            *numbers, name = row
-            values[i] = [float(number) for number in numbers]
-        except (ValueError, TypeError) as error:
-            raise SceneError(f"{path}[{i}]: needs {', '.join(COLUMNS)}, got {quoted(row)}") from error
-        if not np.all(np.isfinite(values[i])):
-            raise SceneError(f"{path}[{i}]: needs finite numbers, got {quoted(row)}")
-        if i and values[i, 0] <= values[i - 1, 0]:
-            raise SceneError(f"{path}[{i}]: time {values[i, 0]} s does not follow {values[i - 1, 0]} s")
-        if name and name not in names:
-            raise SceneError(f"{path}[{i}]: no body {quoted(name)} that can move")
-        holds.append(str(name or ""))
-    return HandTrack(values[:, 0].copy(), values[:, 1:].copy(), tuple(holds))
 
 
 class Drag:
