@@ -25,8 +25,15 @@ from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
 from truth.rims import BrokenBody, broken_body, jittered, measure, world_of  # noqa: E402
 
-from fracture_collision.geometry.concave_shapes import torus  # noqa: E402
-from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell  # noqa: E402
+from fracture_collision.geometry.generators import (  # noqa: E402
+    TetGeometry,
+    ball,
+    bowl,
+    brick,
+    plate,
+    shell,
+    torus,  # noqa: E402
+)
 from fracture_collision.records import FragmentStates  # noqa: E402
 from fracture_collision.world import Settings  # noqa: E402
 

@@ -84,8 +84,8 @@ def mend(bag: Path) -> None:
     Rewrites its .mcap files and metadata.yaml; each replaces the old file when it is complete. All readable messages
     stay as they are; unreadable data is reported and dropped. A complete bag is rewritten, too.
     """
-    from fracture_collision.bag.errors import BagError
-    from fracture_collision.bag.mend import mend_bag
+    from fracture_collision.bag.mcap_file import BagError
+    from fracture_collision.bag.writer import mend_bag
 
     try:
         interrupt_on_signals()
@@ -110,7 +110,7 @@ def digest(bag: Path) -> None:
 
     Two digests are equal if and only if all messages are, byte for byte.
     """
-    from fracture_collision.bag.errors import BagError
+    from fracture_collision.bag.mcap_file import BagError
     from fracture_collision.bag.reader import message_counts, missing_words, topic_digest
 
     try:

@@ -159,7 +159,7 @@ def _leave(
         new.started = True
         _tell(report, console)
         if pictures:
-            from fracture_collision.viewer.film.film_strip import draw_film_strip
+            from fracture_collision.viewer.film.film import draw_film_strip
             from fracture_collision.viewer.film.times_plot import plot_times
 
             with console.status("drawing pictures"):

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from stages.bag_of_records import write_bag
 
-from fracture_collision.bag.cdr import deserialize_record
-from fracture_collision.bag.errors import BagError
-from fracture_collision.bag.exchanges import read_runs, registry_settings
+from fracture_collision.bag.exchanges import deserialize_record, read_runs, registry_settings
+from fracture_collision.bag.mcap_file import BagError
 from fracture_collision.bag.reader import SETTINGS, read_messages
 from fracture_collision.bag.writer import BagWriter
 from fracture_collision.records import SPHERE, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive

@@ -12,9 +12,8 @@ import pytest
 from rclpy.serialization import serialize_message
 from worlds.recorded_pane import CLASSES, STEPS, changed_bag, record_pane, replayed, write_bag
 
-from fracture_collision.bag.cdr import deserialize_record, serialize_record
-from fracture_collision.bag.errors import BagError
-from fracture_collision.bag.exchanges import Run, read_runs
+from fracture_collision.bag.exchanges import Run, deserialize_record, read_runs, serialize_record
+from fracture_collision.bag.mcap_file import BagError
 from fracture_collision.bag.reader import SETTINGS, BagMessage, read_messages
 from fracture_collision.bag.writer import BagWriter
 from fracture_collision.records import INVALID_STATES, REMOVE, CollisionBody, SolidPrimitive

@@ -9,8 +9,7 @@ import pytest
 import yaml
 from worlds.recorded_pane import replayed
 
-from fracture_collision.bag.cdr import deserialize_record
-from fracture_collision.bag.exchanges import read_runs
+from fracture_collision.bag.exchanges import deserialize_record, read_runs
 from fracture_collision.bag.reader import missing_words
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.replay import AS_RECORDED, Order, settings_of

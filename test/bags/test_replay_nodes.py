@@ -24,11 +24,10 @@ from test_replay import CONTACTS, EVENTS, STATES
 from worlds.recorded_pane import STEPS, record_pane, replayed
 from worlds.scene_of_length import scene_of_length
 
-from fracture_collision.bag.cdr import serialize_record
-from fracture_collision.bag.exchanges import read_runs, registry_settings
+from fracture_collision.bag.exchanges import read_runs, registry_settings, serialize_record
 from fracture_collision.bag.mcap_file import McapFile
-from fracture_collision.bag.mend import mend_bag
 from fracture_collision.bag.reader import message_counts, missing_words, read_messages, recorded_settings
+from fracture_collision.bag.writer import mend_bag
 from fracture_collision.cdr import Heading
 from fracture_collision.records import FractureEvent
 from fracture_collision.replay import Order, Replay, settings_of

@@ -13,8 +13,7 @@ from truth.rims import broken_body, jittered, measure, world_of
 from worlds.fractured_worlds import fractured_world, with_settings
 
 from fracture_collision.core.mesh.sample_numbers import EDGES, NODES
-from fracture_collision.geometry.concave_shapes import torus
-from fracture_collision.geometry.generators import ball, brick, plate, shell
+from fracture_collision.geometry.generators import ball, brick, plate, shell, torus
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 

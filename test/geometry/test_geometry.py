@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fracture_collision.geometry.concave_shapes import l_block, torus
-from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell
+from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, l_block, plate, shell, torus
 from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
 from fracture_collision.geometry.tetrahedra import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fracture_collision.core.mesh.connected_pieces import connected_pieces
-from fracture_collision.geometry.piggy_bank import piggy_bank
+from fracture_collision.geometry.generators import piggy_bank
 from fracture_collision.geometry.tetrahedra import (
     boundary_triangles,
     tetrahedron_volumes,

@@ -10,7 +10,7 @@ from fracture_collision.geometry.generators import brick
 from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.geometry.tetrahedra import boundary_triangles, tetrahedron_volumes
 from fracture_collision.meshing import tetrahedralize_by_lattice
-from fracture_collision.meshing.pinches import without_pinches
+from fracture_collision.meshing.lattice_mesher import without_pinches
 
 BRICK = brick((3.0, 3.0, 1.0), 1.0)
 

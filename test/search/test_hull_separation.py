@@ -12,8 +12,7 @@ from worlds.fractured_worlds import FracturedWorld, fractured_world
 
 from fracture_collision.core.mesh.surface_triangles import surface_triangles
 from fracture_collision.core.separation.hull_separation import Hull, parting_plane
-from fracture_collision.geometry.concave_shapes import torus
-from fracture_collision.geometry.generators import ball, shell
+from fracture_collision.geometry.generators import ball, shell, torus
 
 TRIES = 60
 FAR_ENOUGH = 1e-3  # [m] bodies are of R = 1

@@ -21,15 +21,16 @@ from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStat
 from fracture_collision.run_meshes import read_run_with_meshes
 from fracture_collision.viewer.page.bag_player import BagPlayer
 from fracture_collision.viewer.page.page import Page
+from fracture_collision.viewer.page.page_controls import help_text
 from fracture_collision.viewer.page.page_events import Handlers, Joint, ServiceSliders, SettingKnob, Start
-from fracture_collision.viewer.page.page_help import help_text
-from fracture_collision.viewer.page.page_plots import SHOWN, Figures
-from fracture_collision.viewer.page.page_summary import (
+from fracture_collision.viewer.page.page_plots import (
     BUSY_WORDS,
     PATIENCE,
     PAUSED_WORDS,
+    SHOWN,
     SLOW_WORDS,
     Census,
+    Figures,
     Pace,
     has_time_left,
     words_of,

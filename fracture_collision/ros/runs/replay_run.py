@@ -9,8 +9,7 @@ from types import TracebackType
 
 import rclpy
 
-from fracture_collision.bag.cdr import deserialize_record
-from fracture_collision.bag.exchanges import Message, Question, Run, canonical
+from fracture_collision.bag.exchanges import Message, Question, Run, canonical, deserialize_record
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.replay import Unanswered
 from fracture_collision.ros.fastdds.extras import make_executor

@@ -68,7 +68,7 @@ def shape_entries(kind: str) -> list[Entry]:
 
 def reference(document: str) -> str:
     """The document with the present tables."""
-    parts = [document.partition(TABLES)[0].rstrip("\n") + "\n"]
+    parts = [document.split(TABLES)[0].rstrip("\n") + "\n"]
     entries = scene_entries()
     for prefix, title in TITLES.items():
         own = [e for e in entries if _parent(e.path) == prefix]

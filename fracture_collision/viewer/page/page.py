@@ -19,13 +19,11 @@ import viser
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentMesh, FragmentStates
 from fracture_collision.viewer.page.page_camera import Cameras
 from fracture_collision.viewer.page.page_contacts import ContactLayers
-from fracture_collision.viewer.page.page_controls import Controls
+from fracture_collision.viewer.page.page_controls import Controls, add_help, help_text
 from fracture_collision.viewer.page.page_events import Handlers, ServiceSliders, Start
-from fracture_collision.viewer.page.page_help import add_help, help_text
 from fracture_collision.viewer.page.page_inside import Inside, InsideView
-from fracture_collision.viewer.page.page_plots import Figures, Plots, check_told, plots_of
+from fracture_collision.viewer.page.page_plots import Figures, Plots, Summary, check_told, plots_of
 from fracture_collision.viewer.page.page_scene import DragHandlers, SceneNodes
-from fracture_collision.viewer.page.page_summary import Summary
 from fracture_collision.viewer.page.server.page_document import TITLE, Document
 from fracture_collision.viewer.page.server.page_gate import LOCALHOST, bracketed, started_server, stop_server
 from fracture_collision.viewer.page.server.page_stream import LiveValues, run_script, show_notice
