@@ -66,7 +66,7 @@ NOT_RUN = {
     r"python3 -m (venv|colcon) .*": "test_packaging installs the package into an environment of its own",
     r"python -m pytest .*": "is this test runner",
     r"python examples/deepest_contact\.py": "waits for a running service: test_examples",
-    r"python bags/make\.py .*": "makes golden bags anew: test_replay_golden compares their content",
+    r"python bags/make\.py .*": "makes golden bags anew: test_replay compares their content",
     r"python -m fracture_collision\.simulation\.scene\.scene_reference docs/scenes\.md": "test_scene_reference",
     r"recorder_node --ros-args .*": "records until it is ended: test_replay_nodes",
     r"simulator_node  --bodies.*": "is an arrow of a figure",

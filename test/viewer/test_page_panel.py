@@ -6,7 +6,6 @@ import gzip
 import itertools
 import re
 import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 from queue import Queue
 from typing import Any
@@ -14,7 +13,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from stages.browser import chromium, knob, opened, until
+from stages.browser import knob, opened, until
 from worlds.small_run import small_run
 
 from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
@@ -46,12 +45,6 @@ KNOBS = {
 ALL = Handlers(*(lambda *_: None,) * len(Handlers._fields))
 JOINTS = tuple(Joint(f"j{i}", -1, 1) for i in range(7))
 START = Start(("plates", "vase"), "plates", mesh_suffixes=(".obj",), settings=KNOBS, joints=JOINTS)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 def begin(page: Page, step: int = 0) -> None:
