@@ -7,9 +7,8 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import BadInput, Interruption, interrupt_on_signals
+from fracture_collision.cli.console import BadInput, Interruption, counting_bar, interrupt_on_signals
 from fracture_collision.process.early_signals import INTERRUPTED
 
 RECORD_EXAMPLES = """\b
@@ -59,14 +58,9 @@ def record(
         raise BadInput(str(error)) from error
     try:
         total = scene.step_count if steps is None else min(steps, scene.step_count)
-        progress = Progress(
-            TextColumn("recording"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn(),
-            console=console,
-        )  # fmt: skip
-        with progress as bar, interruption.held():
-            task = bar.add_task("", total=total)
+        with counting_bar(console, "recording", "steps") as progress, interruption.held():
             for done in record_scene(scene, chosen, seed, out, Selection(end=total, every=every)):
-                bar.update(task, completed=done)
+                progress(done, total)
                 interruption.check()
     except OSError as error:
         raise click.ClickException(str(error)) from error

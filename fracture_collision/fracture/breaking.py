@@ -7,14 +7,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fracture_collision.fracture.events import CrackedMesh, Naming, event_of, pinched_ends, without_flat_pieces
 from fracture_collision.fracture.pattern import (
     CROSSING_ROUNDING,
+    CrackedMesh,
+    Naming,
     Pattern,
     cells_of_seeds,
     draw_seeds,
     draw_warp,
+    event_of,
     middle_planes,
+    pinched_ends,
+    without_flat_pieces,
 )
 from fracture_collision.fracture.pieces import connected_pieces, inside_fragment
 from fracture_collision.geometry.tetrahedra import unique_edges

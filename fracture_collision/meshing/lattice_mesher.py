@@ -30,7 +30,7 @@ from fracture_collision.core.mesh.triangle_field import (
     triangle_distance,
 )
 from fracture_collision.geometry.generators import TetGeometry, oriented, require_affordable, require_positive
-from fracture_collision.geometry.surface_meshing import require_closed_surface
+from fracture_collision.geometry.surface_files import require_closed_surface
 from fracture_collision.geometry.tetrahedra import (
     EDGE_VERTICES,
     face_neighbours,

@@ -22,8 +22,7 @@ import numpy as np
 
 from fracture_collision.geometry.generators import TETRAHEDRA_LIMIT, TetGeometry, oriented
 from fracture_collision.geometry.stored_meshes import read_tetrahedra
-from fracture_collision.geometry.surface_files import SUFFIXES, Surface, read_surface
-from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
+from fracture_collision.geometry.surface_files import SUFFIXES, Surface, read_surface, tetrahedralize_surface
 from fracture_collision.geometry.tetrahedra import boundary_triangles, pyramid_volumes, tetrahedron_volumes
 from fracture_collision.meshing.lattice_mesher import tetrahedralize_by_lattice
 from fracture_collision.portable_math import lengths

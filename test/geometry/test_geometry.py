@@ -25,7 +25,7 @@ from fracture_collision.geometry.generators import (
 )
 from fracture_collision.geometry.sampled_bodies import sampled_ball, sampled_shell
 from fracture_collision.geometry.stored_meshes import bunny
-from fracture_collision.geometry.surface_meshing import tetrahedralize_surface
+from fracture_collision.geometry.surface_files import tetrahedralize_surface
 from fracture_collision.geometry.tetrahedra import (
     EDGE_VERTICES,
     boundary_triangles,

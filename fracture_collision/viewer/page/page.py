@@ -141,10 +141,6 @@ class Page:
         """It appears as soon as states name it. Until all fragments of the states are known, the previous ones stay."""
         self._order(lambda: self._scene.add_fragment(mesh, body_id))
 
-    def remove_fragment(self, fragment_id: int) -> None:
-        """Permanent. To hide a fragment for a while, leave it out of the states."""
-        self._order(lambda: self._scene.remove(fragment_id))
-
     def look_from(self, camera: Camera, fits: bool = False) -> None:
         """Without this call, the page chooses the camera at the first states of a run. Open pages move there.
 
