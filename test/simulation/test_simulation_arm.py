@@ -330,6 +330,9 @@ def row(time: float = 0.0, **angles: float) -> list[float]:
     [
         ({"swing": []}, "arm.swing: needs the name of a CSV file, or a list of rows"),
         ({"swing": [[0.0, 1.0]]}, r"arm.swing\[0\]: needs time, joint_1"),
+        ({"swing": [[0.0]]}, r"arm.swing\[0\]: needs time, joint_1"),
+        ({"swing": [{"time": 0.0}]}, r"arm.swing\[0\]: needs time, joint_1"),
+        ({"swing": [row(joint_3=10**400)]}, r"arm.swing\[0\]: needs time, joint_1"),
         ({"swing": [row(), row()]}, r"arm.swing\[1\]: time 0.0 s does not follow 0.0 s"),
         ({"swing": [row(joint_3=float("inf"))]}, r"arm.swing\[0\]: needs finite numbers"),
         ({"swing": [row(joint_6=121.0)]}, r"arm.swing\[0\]: lbr_iiwa_joint_6: 2.112 rad is not between"),

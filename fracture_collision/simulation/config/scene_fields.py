@@ -171,7 +171,7 @@ class Fields:
             try:
                 values[i] = [float(number) for number in row[:count]]
                 is_complete = len(row) == len(columns)
-            except (ValueError, TypeError, OverflowError):
+            except (ValueError, TypeError, OverflowError, LookupError):
                 is_complete = False
             if not is_complete:
                 raise SceneError(f"{path}[{i}]: needs {', '.join(columns)}, got {quoted(row)}")
