@@ -27,8 +27,12 @@ from worlds.fractured_worlds import after_each_fracture, fractured_world  # noqa
 
 from fracture_collision.core.glondu2014 import interior_field  # noqa: E402
 from fracture_collision.core.mesh.tet_mesh import build_tet_mesh  # noqa: E402
-from fracture_collision.geometry.concave_shapes import torus  # noqa: E402
-from fracture_collision.geometry.generators import ball, brick, shell  # noqa: E402
+from fracture_collision.geometry.generators import (  # noqa: E402
+    ball,
+    brick,
+    shell,
+    torus,  # noqa: E402
+)
 from fracture_collision.geometry.stored_meshes import bunny  # noqa: E402
 from fracture_collision.world import Settings  # noqa: E402
 

@@ -16,9 +16,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from fracture_collision.bag.cdr import deserialize_record, serialize_record
-from fracture_collision.bag.errors import BagError
-from fracture_collision.bag.exchanges import Question, Run, registry_settings
+from fracture_collision.bag.exchanges import Question, Run, deserialize_record, registry_settings, serialize_record
+from fracture_collision.bag.mcap_file import BagError
 from fracture_collision.bag.reader import recorded_settings
 from fracture_collision.records import ContactConstraintArray, FragmentStates, refusal_of
 from fracture_collision.world import CollisionWorld, InvalidMessage, PaperSettings, Settings, StatesAhead

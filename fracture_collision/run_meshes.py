@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.exchanges import read_runs
+from fracture_collision.bag.mcap_file import BagError
 from fracture_collision.records import ADD, FragmentStates
 from fracture_collision.viewer.film.recorded_run import RecordedRun, recorded_run
 from fracture_collision.world import CollisionWorld, InvalidMessage

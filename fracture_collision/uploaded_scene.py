@@ -96,8 +96,8 @@ def _write_scene(file: Path, scene: Path) -> str:
     """Write a scene with its mesh; returns the reason if that cannot be done. `file`: as it was uploaded."""
     from fracture_collision.lockstep import Lockstep
     from fracture_collision.meshing import read_mesh
-    from fracture_collision.simulation.engine.own_body import write_own_scene
     from fracture_collision.simulation.scene.scene import load_scene
+    from fracture_collision.simulation.scene.scene_changes import write_own_scene
 
     try:
         mesh = read_mesh(file, longest_side=LONGEST_SIDE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -20,3 +20,12 @@ def stage(tmp_path: Path) -> Iterator[StageWithClients]:
     made = StageWithClients(tmp_path)
     yield made
     made.close()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A running Chromium; without one the test is skipped."""
+    from stages.browser import chromium
+
+    with chromium() as running:
+        yield running

@@ -22,7 +22,7 @@ from fracture_collision.records import (  # noqa: E402
     FractureEvent,
     FragmentStates,
 )
-from fracture_collision.simulation.engine.engine import BodyStates  # noqa: E402
+from fracture_collision.simulation.engine import BodyStates  # noqa: E402
 from fracture_collision.simulation.scene.scene import Scene  # noqa: E402
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy  # noqa: E402
 from fracture_collision.world import CollisionWorld, PaperSettings, Settings  # noqa: E402

@@ -23,7 +23,10 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Metadata, Schema
 
-from fracture_collision.bag.errors import BagError
+
+class BagError(ValueError):
+    """Not a bag, or one without a run or with an incomplete one."""
+
 
 MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC, ZSTD_MAGIC = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"  # rosbag2's other storage, and its compression

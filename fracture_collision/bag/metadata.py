@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from fracture_collision.bag.errors import BagError
+from fracture_collision.bag.mcap_file import BagError
 from fracture_collision.plain_yaml import YamlError, load_yaml
 
 FILE_NAME = "metadata.yaml"

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 from mcap.records import Metadata
 
 from fracture_collision.bag import metadata
-from fracture_collision.bag.errors import BagError
-from fracture_collision.bag.mcap_file import McapFile
+from fracture_collision.bag.mcap_file import BagError, McapFile
 from fracture_collision.cdr import offset_of_run_id
 
 __all__ = ["BagError", "BagMessage", "RecordedSettings", "mcap_files", "mcap_files_without_metadata", "message_counts", 

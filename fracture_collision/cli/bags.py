@@ -7,9 +7,8 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fracture_collision.cli.console import BadInput, Interruption, interrupt_on_signals
+from fracture_collision.cli.console import BadInput, Interruption, counting_bar, interrupt_on_signals
 from fracture_collision.process.early_signals import INTERRUPTED
 
 RECORD_EXAMPLES = """\b
@@ -58,14 +57,9 @@ def record(
         raise BadInput(str(error)) from error
     try:
         total = scene.step_count if steps is None else min(steps, scene.step_count)
-        progress = Progress(
-            TextColumn("recording"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"), TimeElapsedColumn(),
-            console=console,
-        )  # fmt: skip
-        with progress as bar, interruption.held():
-            task = bar.add_task("", total=total)
+        with counting_bar(console, "recording", "steps") as progress, interruption.held():
             for done in record_scene(scene, chosen, seed, out, Selection(end=total, every=every)):
-                bar.update(task, completed=done)
+                progress(done, total)
                 interruption.check()
     except OSError as error:
         raise click.ClickException(str(error)) from error
@@ -83,8 +77,8 @@ def mend(bag: Path) -> None:
     Rewrites its .mcap files and metadata.yaml; each replaces the old file when it is complete. All readable messages
     stay as they are; unreadable data is reported and dropped. A complete bag is rewritten, too.
     """
-    from fracture_collision.bag.errors import BagError
-    from fracture_collision.bag.mend import mend_bag
+    from fracture_collision.bag.mcap_file import BagError
+    from fracture_collision.bag.writer import mend_bag
 
     try:
         interrupt_on_signals()
@@ -109,7 +103,7 @@ def digest(bag: Path) -> None:
 
     Two digests are equal if and only if all messages are, byte for byte but for their random run ids.
     """
-    from fracture_collision.bag.errors import BagError
+    from fracture_collision.bag.mcap_file import BagError
     from fracture_collision.bag.reader import message_counts, missing_words, topic_digest
 
     try:

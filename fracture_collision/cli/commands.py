@@ -9,14 +9,11 @@ import click
 from fracture_collision import __version__
 from fracture_collision.cli.bags import digest, mend, record
 from fracture_collision.cli.bench import bench
-from fracture_collision.cli.export import export
-from fracture_collision.cli.film import film
-from fracture_collision.cli.play import play
+from fracture_collision.cli.play import play, teleop
+from fracture_collision.cli.recorded import export, film, view
 from fracture_collision.cli.replay import replay
 from fracture_collision.cli.scene import scene
 from fracture_collision.cli.smash import smash
-from fracture_collision.cli.teleop import teleop
-from fracture_collision.cli.view import view
 from fracture_collision.extras import MissingExtra
 from fracture_collision.process.full_disk import full_disk_words
 from fracture_collision.ros.missing import REMEDY, is_ros_missing

@@ -22,7 +22,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from fracture_collision.process.early_signals import INTERRUPTED
-from fracture_collision.run_report import TableRow
+from fracture_collision.run_report import TableRow, last_words, statistics_table, times_table, where_time_goes
 
 SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
 
@@ -174,6 +174,15 @@ def beside_paper(title: str, rows: Iterable[TableRow]) -> Table:
     columns = ("average", "worst", "paper's average", "paper's worst") if has_paper else ("average", "worst")
     cells = ([row.words, *map(_number, _figures(row)[: len(columns)])] for row in rows)
     return figures_table(title, columns, cells)
+
+
+def print_report(console: Console, title: str, report: dict[str, Any]) -> None:
+    """The tables of a run: statistics under `title`, and times."""
+    console.print(beside_paper(title, statistics_table(report)))
+    title = f"{len(report['step'])} steps in {report['seconds']:.1f} s; milliseconds per step"
+    console.print(beside_paper(title, times_table(report)))
+    console.print(where_time_goes(report), highlight=False, soft_wrap=True)
+    console.print(last_words(report), highlight=False, soft_wrap=True)
 
 
 def _figures(row: TableRow) -> tuple[float | None, ...]:

@@ -111,8 +111,8 @@ def replay(
     console = Console()
     interruption = Interruption(console, "stopped before the first step")
     # Imported late: --help should not wait for numba.
-    from fracture_collision.bag.errors import BagError
     from fracture_collision.bag.exchanges import answers_missing, read_runs
+    from fracture_collision.bag.mcap_file import BagError
     from fracture_collision.bag.reader import missing_words
     from fracture_collision.cli.scene import parse_settings
     from fracture_collision.replay import Order, Replay, Unanswered, settings_of

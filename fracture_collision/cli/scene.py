@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 import click
 from rich.console import Console
 
-from fracture_collision.cli.console import BadInput, Interruption, ProgressBar, beside_paper, figures_table, options_as
+from fracture_collision.cli.console import BadInput, Interruption, ProgressBar, figures_table, options_as, print_report
 from fracture_collision.process.early_signals import INTERRUPTED
 from fracture_collision.process.outputs import NewOutputs
-from fracture_collision.run_report import last_words, statistics_table, times_table, where_time_goes
 
 EXAMPLES = """\b
 Examples:
@@ -157,7 +156,7 @@ def _leave(
         new.started = True
         _tell(report, console)
         if pictures:
-            from fracture_collision.viewer.film.film_strip import draw_film_strip
+            from fracture_collision.viewer.film.film import draw_film_strip
             from fracture_collision.viewer.film.times_plot import plot_times
 
             with console.status("drawing pictures"):
@@ -172,8 +171,4 @@ def _tell(report: dict[str, Any], console: Console) -> None:
     sizes = [[str(value) for value in size.values()] for size in report["sizes"]]
     columns = ("bodies", "triangles", "tetrahedra", "points", "of these inside")
     console.print(figures_table(f"{report['scene']}: sizes", columns, sizes))
-    console.print(beside_paper("statistics", statistics_table(report)))
-    title = f"{len(report['step'])} steps in {report['seconds']:.1f} s; milliseconds per step"
-    console.print(beside_paper(title, times_table(report)))
-    console.print(where_time_goes(report), highlight=False, soft_wrap=True)
-    console.print(last_words(report), highlight=False, soft_wrap=True)
+    print_report(console, "statistics", report)

@@ -6,14 +6,13 @@ import json
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 from rich.console import Console
 
-from fracture_collision.cli.console import BadInput, Interruption, ProgressBar, beside_paper
+from fracture_collision.cli.console import BadInput, Interruption, ProgressBar, print_report
 from fracture_collision.process.early_signals import INTERRUPTED
-from fracture_collision.run_report import last_words, statistics_table, times_table, where_time_goes
 
 if TYPE_CHECKING:
     from fracture_collision.geometry.generators import TetGeometry
@@ -59,7 +58,7 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     from fracture_collision.ros.runs.run_domain import DomainTaken
     from fracture_collision.ros.runs.smash_run import Progress, RunFailed, run_scene
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
-    from fracture_collision.viewer.film.film_strip import render_film_strip
+    from fracture_collision.viewer.film.film import render_film_strip
     from fracture_collision.viewer.film.times_plot import plot_times
 
     filled = None
@@ -87,7 +86,7 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
                 report = run_scene(scene, seed, new.folder, progress)
             report["scene"] = scene.replace(str(new.folder), str(out))
             (new.folder / "report.json").write_text(json.dumps(report, indent=1))
-            _tell(report, console)
+            print_report(console, f"{report['scene']}: statistics", report)
             interruption.check()
             with console.status("drawing pictures"):
                 plot_times(report, new.folder / "times.png")
@@ -116,7 +115,7 @@ def _filled(file: Path, size: float) -> TetGeometry:
 
 def _own_scene(filled: TetGeometry | None, out: Path, folder: Path) -> Path:
     """Writes mesh and scene to `folder`; None: copies those of an earlier run from `out`."""
-    from fracture_collision.simulation.engine.own_body import write_own_scene
+    from fracture_collision.simulation.scene.scene_changes import write_own_scene
 
     scene = folder / OWN_SCENE
     if filled is None:
@@ -133,9 +132,3 @@ def _is_same_file(scene: str, file: Path) -> bool:
     return Path(scene).exists() and file.exists() and Path(scene).samefile(file)
 
 
-def _tell(report: dict[str, Any], console: Console) -> None:
-    console.print(beside_paper(f"{report['scene']}: statistics", statistics_table(report)))
-    title = f"{len(report['step'])} steps in {report['seconds']:.1f} s; milliseconds per step"
-    console.print(beside_paper(title, times_table(report)))
-    console.print(where_time_goes(report), highlight=False, soft_wrap=True)
-    console.print(last_words(report), highlight=False, soft_wrap=True)

@@ -8,6 +8,9 @@ that a cut comes near is moved to it, so that no sliver is left. Distances to th
 The paper chooses diagonals of cut faces by the parity of the lattice, for better angles; here they begin at the smaller
 number. Sharp edges and corners of the surface are rounded, to within a part of the edge length. Equal arguments give
 equal bytes, on any machine.
+
+Around each vertex and each edge, the tetrahedra of the result are connected through faces (`without_pinches`): an edge
+of the boundary belongs to two triangles, and a vertex to one fan of them, as normals at edges and vertices need.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel
-from fracture_collision.core.mesh.connected_pieces import connected_pieces
+from fracture_collision.core.mesh.connected_pieces import connected_pieces, joined
 from fracture_collision.core.mesh.triangle_field import (
     STACK,
     build_triangle_mesh,
@@ -25,9 +28,14 @@ from fracture_collision.core.mesh.triangle_field import (
     triangle_pool,
 )
 from fracture_collision.geometry.generators import TetGeometry, oriented, require_affordable, require_positive
-from fracture_collision.geometry.surface_meshing import require_closed_surface
-from fracture_collision.geometry.tetrahedra import tetrahedron_volumes, unique_edges
-from fracture_collision.meshing.pinches import without_pinches
+from fracture_collision.geometry.surface_files import require_closed_surface
+from fracture_collision.geometry.tetrahedra import (
+    EDGE_VERTICES,
+    face_neighbours,
+    tetrahedron_edges,
+    tetrahedron_volumes,
+    unique_edges,
+)
 from fracture_collision.portable_math import lengths
 
 # Of a lattice of cubes with sides of 1, edges have lengths 1 (two of a tetrahedron) and sqrt(3) / 2 (four): on average
@@ -209,3 +217,49 @@ def _in_one_piece(vertices: np.ndarray, tetrahedra: np.ndarray, edge_length: flo
         raise ValueError(f"edge_length: at {edge_length} m thin parts are lost and {count} pieces are left; shorten it")
     used, tetrahedra = np.unique(tetrahedra[piece == largest], return_inverse=True)
     return TetGeometry(np.ascontiguousarray(vertices[used]), tetrahedra.reshape(-1, 4).astype(np.int32))
+
+
+def without_pinches(vertices: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh without places where its boundary touches itself.
+
+    Few tetrahedra are left out along pinched edges, pinched vertices are doubled.
+    vertices (n, 3) and tetrahedra (m, 4); unused vertices may be left.
+    """
+    while True:
+        edges = unique_edges(tetrahedra)
+        at_edge = tetrahedron_edges(tetrahedra, edges)  # (m, 6)
+        # face i lies opposite vertex i: the edges that do not end there
+        of_face = np.array([np.flatnonzero(np.not_equal(EDGE_VERTICES, i).all(axis=1)) for i in range(4)])
+        fan = _connected_over_faces(tetrahedra, at_edge, of_face)
+        sizes = np.bincount(fan)
+        first = np.unique(fan, return_index=True)[1]
+        edge_of_fan = at_edge.ravel()[first]
+        # Of fans of one size the first is kept.
+        ranked = np.lexsort((np.arange(len(sizes)), -sizes, edge_of_fan))
+        is_kept = np.zeros(len(sizes), np.bool_)
+        is_kept[ranked[np.append(True, edge_of_fan[ranked][1:] != edge_of_fan[ranked][:-1])]] = True
+        left = np.all(is_kept[fan].reshape(-1, 6), axis=1)
+        if np.all(left):
+            break
+        tetrahedra = tetrahedra[left]
+    of_face = np.array([[k for k in range(4) if k != i] for i in range(4)])
+    star = _connected_over_faces(tetrahedra, tetrahedra, of_face)
+    first = np.unique(star, return_index=True)[1]
+    return vertices[tetrahedra.ravel()[first]], star.reshape(-1, 4)
+
+
+def _connected_over_faces(tetrahedra: np.ndarray, parts: np.ndarray, of_face: np.ndarray) -> np.ndarray:
+    """Pieces (m * k,) of the parts (m, k) of tetrahedra, joined where two tetrahedra share a face and the part in it.
+
+    of_face (4, j): which of its k parts lie in the face opposite vertex i.
+    """
+    count = parts.shape[1]
+    neighbours = face_neighbours(tetrahedra)
+    tetrahedron, face = np.nonzero(neighbours >= 0)
+    other = neighbours[tetrahedron, face]
+    mine = of_face[face]  # (f, j)
+    value = parts[tetrahedron[:, None], mine]
+    theirs = (parts[other][:, None, :] == value[:, :, None]).argmax(axis=2)
+    return joined(
+        (tetrahedron[:, None] * count + mine).ravel(), (other[:, None] * count + theirs).ravel(), parts.size
+    )

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fracture_collision.fracture.events import Naming, event_of
-from fracture_collision.fracture.pattern import PatternSettings, voronoi_pattern
+from fracture_collision.fracture.pattern import Naming, PatternSettings, event_of, voronoi_pattern
 from fracture_collision.fracture.pieces import inside_fragment
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.tetrahedra import unique_edges

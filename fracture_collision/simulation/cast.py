@@ -1,19 +1,21 @@
 """Participants of a run: the scene's bodies, those thrown in, and the fragments that they consist of.
 
-Fragments wait here, outside the engine, until the registry brings their masses.
+Fragments wait here, outside the engine, until the registry brings their masses. The traits of bodies in motion are
+arrays: they are looked up when bodies come or go, not for every contact.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.records import REMOVE, CollisionBody, FractureEvent, FragmentRegistry
+from fracture_collision.records import REMOVE, CollisionBody, ContactConstraintArray, FractureEvent, FragmentRegistry
 from fracture_collision.simulation.breakable_body import BreakableBody
-from fracture_collision.simulation.engine.engine import Engine, FrameState, MassProperties
-from fracture_collision.simulation.scene.scene import SceneBody
-from fracture_collision.simulation.scene.scene_records import collision_body
+from fracture_collision.simulation.engine import BodyStates, FrameState, MassProperties, RigidBodyWorld, rows_of
+from fracture_collision.simulation.scene.scene import SceneBody, collision_body
+from fracture_collision.simulation.solver.touch_ahead import Forms
 
 
 class Cast:
@@ -78,7 +80,7 @@ class Cast:
         self._enter(number)
         return number
 
-    def take_out(self, body_id: int, engine: Engine) -> list[int]:
+    def take_out(self, body_id: int, engine: RigidBodyWorld) -> list[int]:
         """Remove a body with all its fragments; returns these. KeyError if no movable body has this id."""
         body = self.body_of[body_id]
         if body.is_static:
@@ -93,7 +95,7 @@ class Cast:
         self._news.append(self._numbered(collision_body(body_id, body)._replace(operation=REMOVE)))
         return gone
 
-    def replace(self, event: FractureEvent, frame: FrameState, engine: Engine) -> None:
+    def replace(self, event: FractureEvent, frame: FrameState, engine: RigidBodyWorld) -> None:
         """Replace a broken fragment by its pieces, which wait in its `frame`."""
         self._next_fragment_id += len(event.new_fragment_ids)
         engine.remove(event.fragment_id)
@@ -102,7 +104,7 @@ class Cast:
             self.body_id_of[new_id] = body_id
             self.waiting[new_id] = frame
 
-    def admit_waiting(self, registry: FragmentRegistry, engine: Engine) -> None:
+    def admit_waiting(self, registry: FragmentRegistry, engine: RigidBodyWorld) -> None:
         """Move the waiting fragments into the engine. ValueError if one is missing in the registry."""
         if not self.waiting:
             return
@@ -134,3 +136,73 @@ class Cast:
         self.waiting[body_id] = FrameState(
             body.position, body.orientation, body.linear_velocity, body.angular_velocity
         )
+
+
+class Traits(NamedTuple):
+    """Of n bodies in motion."""
+
+    fragment_ids: np.ndarray  # (n,) uint32, in the engine's order
+    body_ids: np.ndarray  # (n + 1,) int64; the last, -1, for what cannot move
+    rolling_arms: np.ndarray  # (n + 1,) [m]; the last, 0, for what cannot move
+    strengths: np.ndarray  # (n,) [N s]; inf for what does not break
+    forms: Forms
+
+
+def traits_of(
+    states: BodyStates,
+    bodies: Mapping[int, SceneBody],
+    sizes: Mapping[int, float],
+    body_ids: Mapping[int, int],
+    breakable: Mapping[int, BreakableBody],
+    held_together: Container[int],
+) -> Traits:
+    """Traits of the bodies in `states`.
+
+    The other arguments are the simulation's own tables: `bodies`, their R `sizes` [m] and `breakable` by body id,
+    `body_ids` by fragment id, `held_together`: fragments that do not break.
+    """
+    numbers = np.array([*(body_ids[fragment] for fragment in states.fragment_ids.tolist()), -1], dtype=np.int64)
+    arms, strengths = np.zeros(len(states.masses) + 1), np.full(len(states.masses), np.inf)
+    forms = Forms(np.zeros(len(arms), np.bool_), np.full(len(arms), np.inf))
+    for i, (fragment_id, body_id) in enumerate(zip(states.fragment_ids.tolist(), numbers.tolist(), strict=False)):
+        material, mesh = bodies[body_id].material, breakable.get(body_id)
+        fracture, arms[i] = material.fracture, material.rolling_arm
+        forms.is_round[i], forms.sizes[i] = bodies[body_id].shape.kind == "sphere", sizes[body_id]
+        if (
+            fracture is not None
+            and mesh is not None
+            and fragment_id not in held_together
+            and states.masses[i] >= fracture.minimum_mass
+            and mesh.node_count(fragment_id) >= 2 * fracture.pattern.minimum_nodes
+        ):
+            strengths[i] = fracture.strength
+    return Traits(states.fragment_ids, numbers, arms, strengths, forms)
+
+
+class SharedTraits(NamedTuple):
+    """Of p pairs."""
+
+    body_a: np.ndarray  # (p,) int64 rows of the bodies, n for what cannot move
+    body_b: np.ndarray  # (p,) int64
+    rolling_arm: np.ndarray  # (p,) [m] the larger one
+    sizes: np.ndarray  # (p,) R [m], the smaller one
+    is_one_body: np.ndarray  # (p,) bool: fragments of one body
+
+
+def shared_traits(contacts: ContactConstraintArray, traits: Traits, cast: Cast) -> SharedTraits:
+    """Traits of the pairs of `contacts`. ValueError if a fragment is neither among the n of `traits` nor static."""
+    immovable = len(traits.fragment_ids)
+
+    def of(fragments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        rows = rows_of(fragments, traits.fragment_ids)
+        arms, sizes = traits.rolling_arms[rows], traits.forms.sizes[rows]
+        for fragment in np.unique(fragments[rows == immovable]).tolist():
+            if fragment not in cast.body_id_of or not cast.scene_body(fragment).is_static:
+                raise ValueError(f"contacts of step {contacts.step}: fragment {fragment} is not in the states")
+            arms[fragments == fragment] = cast.scene_body(fragment).material.rolling_arm
+            sizes[fragments == fragment] = cast.sizes[fragment]
+        return rows, arms, sizes
+
+    (a, arms_a, sizes_a), (b, arms_b, sizes_b) = of(contacts.fragment_a), of(contacts.fragment_b)
+    is_one_body = (traits.body_ids[a] == traits.body_ids[b]) & (a < immovable)
+    return SharedTraits(a, b, np.maximum(arms_a, arms_b), np.minimum(sizes_a, sizes_b), is_one_body)

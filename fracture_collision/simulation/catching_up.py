@@ -21,7 +21,7 @@ import numpy as np
 
 from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.simulation.engine.engine import BodyStates, ByFragment, rows_of
+from fracture_collision.simulation.engine import BodyStates, ByFragment, rows_of
 from fracture_collision.simulation.rotations import INVERSE, quaternion_products, rotation_matrices, turned
 from fracture_collision.simulation.solver.contact_islands import islands_of
 from fracture_collision.simulation.solver.contact_solver import BodyPairs, SolverSettings

@@ -5,7 +5,7 @@ One step, from t_n to t_n+1:
     begin_step     bodies, fracture events and the states at t_n, for the service
     finish_step    its contacts at t_n and the fragments' masses; new fragments enter the engine with their parent's
                    velocity field; contacts are solved for the velocities at t_n+1, gravity included; the engine moves
-                   all poses; overloaded fragments break (`breaking_impacts`), and their events go out with the next
+                   all poses; overloaded fragments break (`solve_with_strengths`), and their events go out with the next
                    states
 """
 
@@ -27,9 +27,8 @@ from fracture_collision.records import (
 )
 from fracture_collision.simulation.actors.arm import PARTS
 from fracture_collision.simulation.actors.arm_control import ArmControl
-from fracture_collision.simulation.actors.drag import Drag
-from fracture_collision.simulation.body_traits import Traits, traits_of
-from fracture_collision.simulation.cast import Cast
+from fracture_collision.simulation.actors.hand import Drag
+from fracture_collision.simulation.cast import Cast, SharedTraits, Traits, shared_traits, traits_of
 from fracture_collision.simulation.catching_up import (
     MOST_LOST,
     NOTHING,
@@ -40,17 +39,24 @@ from fracture_collision.simulation.catching_up import (
     carried_contacts,
     extra_times,
 )
-from fracture_collision.simulation.engine.engine import BodyStates, ByFragment, Engine, FrameState
-from fracture_collision.simulation.engine.free_motion import free_velocities, mean_spins
-from fracture_collision.simulation.engine.pushes import NO_CHANGES, Planned, Pusher, Pushes, planned, pushes_of
-from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
-from fracture_collision.simulation.lookahead_check import LookaheadCheck
+from fracture_collision.simulation.engine import (
+    NO_CHANGES,
+    BodyStates,
+    ByFragment,
+    FrameState,
+    Planned,
+    Pusher,
+    Pushes,
+    RigidBodyWorld,
+    free_velocities,
+    mean_spins,
+    planned,
+    pushes_of,
+)
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene.scene import Fracture, Scene, SceneBody
-from fracture_collision.simulation.shared_traits import SharedTraits, shared_traits
 from fracture_collision.simulation.solver import contact_memory, sleep
-from fracture_collision.simulation.solver.breaking_impacts import hardest_hit, solve_with_strengths
-from fracture_collision.simulation.solver.contact_memory import with_remembered
+from fracture_collision.simulation.solver.contact_memory import rest_gaps_of, with_remembered
 from fracture_collision.simulation.solver.contact_solver import (
     NO_WARM_START,
     Again,
@@ -58,14 +64,15 @@ from fracture_collision.simulation.solver.contact_solver import (
     RigidBodies,
     Solution,
     bounce_speeds,
+    hardest_hit,
     kinetic_energies,
     kinetic_energy,
     solve_contacts,
+    solve_with_strengths,
     sums_of_bodies,
 )
-from fracture_collision.simulation.solver.rest_gaps import rest_gaps_of
 from fracture_collision.simulation.solver.touch_ahead import Course, StepContacts, shares_of_step, split_by_gap
-from fracture_collision.simulation.step_records import StepReport, StepRequest, fragment_states
+from fracture_collision.simulation.step_records import LookaheadCheck, StepReport, StepRequest, fragment_states
 
 
 class _Solved(NamedTuple):
@@ -90,7 +97,7 @@ class Simulation:
     """
 
     def __init__(
-        self, scene: Scene, seed: int | None = None, engine: Engine | None = None, looks_ahead: bool = False
+        self, scene: Scene, seed: int | None = None, engine: RigidBodyWorld | None = None, looks_ahead: bool = False
     ) -> None:
         self._scene = scene
         self._seed = scene.seed if seed is None else seed

@@ -10,8 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fracture_collision import world as service
-from fracture_collision.geometry.concave_shapes import l_block
-from fracture_collision.geometry.generators import TetGeometry, brick
+from fracture_collision.geometry.generators import TetGeometry, brick, l_block
 from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
 from fracture_collision.world.settings import Settings

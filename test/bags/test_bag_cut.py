@@ -13,12 +13,11 @@ from mcap.writer import CompressionType
 from stages.mcap_bytes import CHUNK, mcap_of, records
 from worlds.recorded_pane import record_pane
 
-from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.exchanges import read_runs
-from fracture_collision.bag.mcap_file import McapFile
-from fracture_collision.bag.mend import mend_bag
+from fracture_collision.bag.mcap_file import BagError, McapFile
 from fracture_collision.bag.metadata import KEY
 from fracture_collision.bag.reader import message_counts, missing_words, read_messages
+from fracture_collision.bag.writer import mend_bag
 
 FILE = "pane_0.mcap"
 

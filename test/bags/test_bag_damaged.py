@@ -21,9 +21,8 @@ from stages.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, chunk, record, te
 from worlds.recorded_pane import changed_bag, record_pane, write_bag
 
 from fracture_collision.bag import mcap_file
-from fracture_collision.bag.errors import BagError
 from fracture_collision.bag.exchanges import read_runs
-from fracture_collision.bag.mcap_file import MAGIC, McapFile
+from fracture_collision.bag.mcap_file import MAGIC, BagError, McapFile
 from fracture_collision.bag.metadata import KEY, LARGEST
 from fracture_collision.bag.reader import mcap_files, missing_words, recorded_settings
 from fracture_collision.plain_yaml import load_yaml
@@ -110,7 +109,7 @@ def test_files_with_false_content_take_little_memory(tmp_path: Path) -> None:
 import resource
 from pathlib import Path
 from fracture_collision.bag.exchanges import read_runs
-from fracture_collision.bag.errors import BagError
+from fracture_collision.bag.mcap_file import BagError
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for path in sorted(Path({str(tmp_path)!r}).glob("*.mcap")):
     try:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from worlds.recorded_pane import CLASSES, STEPS, changed_bag, record_pane, write_bag
 
-from fracture_collision.bag.cdr import deserialize_record, serialize_record
+from fracture_collision.bag.exchanges import deserialize_record, serialize_record
 from fracture_collision.bag.reader import BagMessage, read_messages
 from fracture_collision.bag.writer import BagWriter
 from fracture_collision.ros.nodes.recorder_node import bag_topic

@@ -24,10 +24,8 @@ from test_replay import CONTACTS, EVENTS, STATES
 from worlds.recorded_pane import STEPS, record_pane, replayed
 from worlds.scene_of_length import scene_of_length
 
-from fracture_collision.bag.cdr import serialize_record
-from fracture_collision.bag.exchanges import read_runs, registry_settings
+from fracture_collision.bag.exchanges import read_runs, registry_settings, serialize_record
 from fracture_collision.bag.mcap_file import McapFile
-from fracture_collision.bag.mend import mend_bag
 from fracture_collision.bag.reader import (
     message_counts,
     missing_words,
@@ -35,6 +33,7 @@ from fracture_collision.bag.reader import (
     recorded_settings,
     without_run_id,
 )
+from fracture_collision.bag.writer import mend_bag
 from fracture_collision.cdr import Heading
 from fracture_collision.records import FractureEvent
 from fracture_collision.replay import Order, Replay, settings_of

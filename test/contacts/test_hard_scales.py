@@ -25,8 +25,7 @@ from worlds.hard_worlds import (
 from worlds.rigid_shapes import boundary_of
 
 from fracture_collision.core.mesh.point_location import tetrahedron_at
-from fracture_collision.geometry.concave_shapes import l_block
-from fracture_collision.geometry.generators import TetGeometry, ball, brick
+from fracture_collision.geometry.generators import TetGeometry, ball, brick, l_block
 from fracture_collision.geometry.tetrahedra import face_neighbours
 from fracture_collision.records import BOX, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld

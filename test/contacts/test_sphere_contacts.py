@@ -18,8 +18,7 @@ from worlds.fractured_worlds import fractured_world
 from worlds.rigid_shapes import RigidShape, boundary_of, box_of_quads, hollow_box, noisy_ball, torus, true_distance
 
 from fracture_collision.core.search import scratch
-from fracture_collision.geometry.concave_shapes import l_block
-from fracture_collision.geometry.generators import TetGeometry, ball, bowl, geodesic_sphere, shell
+from fracture_collision.geometry.generators import TetGeometry, ball, bowl, geodesic_sphere, l_block, shell
 from fracture_collision.records import (
     BUDGET_EXHAUSTED,
     SPHERE,

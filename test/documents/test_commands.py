@@ -1,14 +1,22 @@
-"""Commands in README and docs/: the command, its options and arguments exist, and so do targets, modules and files."""
+"""README, docs/ and CONTRIBUTING.md: commands, code, links and names in them exist, snippets run, the site is built.
+
+A command's options and arguments exist, and so do targets, modules and files.
+"""
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
+import subprocess
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
+from benchmarks.snippets import DOCS, blocks, run
+from benchmarks.studies.page import STUDIES
 from fracture_collision.cli.commands import main
 from fracture_collision.ros.start import NODES
 
@@ -94,3 +102,83 @@ def check_python(words: list[str]) -> None:
 def test_commands_are_found() -> None:
     found = [command for _, command in ALL]
     assert len(found) > 30 and "make smash" in found and any("replay" in command for command in found)
+
+
+WITH_CODE = ["tutorial.md", "solvers.md", "../README.md"]
+
+
+@pytest.mark.parametrize("name", WITH_CODE)
+def test_the_code_prints_what_the_document_says(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    _, printed = run(DOCS / name)
+    assert printed
+    for block in printed:
+        assert block.got == block.expected, f"{name}, line {block.line}"
+
+
+@pytest.mark.parametrize("name", WITH_CODE)
+def test_every_block_has_a_language_that_is_checked(name: str) -> None:
+    assert {block.language for block in blocks(DOCS / name)} <= {"python", "text"}
+
+
+@pytest.mark.parametrize("name", [*(file.name for file in sorted(DOCS.glob("*.md"))), "../README.md"])
+def test_links_and_pictures_exist(name: str) -> None:
+    place = (DOCS / name).parent
+    for target, anchor in re.findall(r"\]\(([^)#:]+)(?:#([\w-]+))?\)", (DOCS / name).read_text()):
+        assert (place / target).exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", (place / target).read_text(), re.MULTILINE)
+            assert anchor in {re.sub(r"[^\w -]", "", h).strip().lower().replace(" ", "-") for h in headings}, anchor
+
+
+def test_the_site_is_built_without_warnings(tmp_path: Path) -> None:
+    (rule,) = re.findall(r"^docs:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert "--fail-on-warning" in rule and "--conf-dir docs/site" in rule
+    command = [
+        sys.executable, "-m", "sphinx", "--builder", "html", "--conf-dir", "docs/site", "--doctree-dir",
+        tmp_path / "doctrees", "--fail-on-warning", "--keep-going", "--quiet", ".", tmp_path / "site",
+    ]  # fmt: skip
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "README.html" in (tmp_path / "site" / "index.html").read_text()
+    reference = (tmp_path / "site" / "docs" / "api.html").read_text()
+    for name in ("CollisionWorld", "FractureEvent", "voronoi", "read_mesh", "penetration_tolerance"):
+        assert f".{name}" in reference, name
+    assert "Alias for field number" not in reference
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/api.md"])
+def test_the_contents_have_the_page(page: str) -> None:
+    contents = (ROOT / "docs" / "site" / "conf.py").read_text()
+    assert page.removesuffix(".md") in contents
+
+
+TEXT = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+NAMES = sorted(set(re.findall(r"`([\w/]+\.py): (\w+)`", TEXT)))
+
+
+@pytest.mark.parametrize(("file", "name"), NAMES)
+def test_names_in_the_paper_map_exist(file: str, name: str) -> None:
+    tree = ast.parse((ROOT / "fracture_collision" / file).read_text(encoding="utf-8"))
+    assert name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+
+
+def test_every_section_of_the_paper_has_code() -> None:
+    sections = re.split(r"^## ", TEXT, flags=re.M)[1:]
+    assert [title.split()[0] for title in sections] == ["3", "4", "5", "6", "7", "8"]
+    for number in ("4.1", "4.2", "4.3", "4.4", "4.5", "5.1", "5.2", "5.3", "6.1", "6.2", "6.3", "7.2"):
+        assert re.search(rf"^\| {re.escape(number)}\b", TEXT, flags=re.M), number
+    assert len(NAMES) > 30
+
+
+def test_studies_in_the_paper_map_exist() -> None:
+    named = set(re.findall(r"fracture-collision bench (\w+)", TEXT))
+    assert named and named <= set(STUDIES)
+
+
+def test_files_named_in_contributing_exist() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    where = text[text.index("## Where things are") : text.index("## Rules")]
+    files = re.findall(r"`([\w/]+\.py)`", where)
+    assert len(files) > 20
+    assert [file for file in files if not (ROOT / "fracture_collision" / file).is_file()] == []

@@ -14,8 +14,7 @@ from worlds.fractured_worlds import SETTINGS, fractured_world, samples_of, with_
 from worlds.sampled_worlds import EVERY, SampledWorld, in_order, sampled_world
 
 from fracture_collision.core.mesh.sample_numbers import EDGES, NODES
-from fracture_collision.geometry.concave_shapes import torus
-from fracture_collision.geometry.generators import ball, brick, plate, shell
+from fracture_collision.geometry.generators import ball, brick, plate, shell, torus
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 

@@ -9,8 +9,7 @@ import pytest
 
 from fracture_collision import fracture
 from fracture_collision.fracture import breaking
-from fracture_collision.geometry.concave_shapes import l_block, torus
-from fracture_collision.geometry.generators import ball, brick, plate
+from fracture_collision.geometry.generators import ball, brick, l_block, plate, torus
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
 from fracture_collision.world import CollisionWorld

@@ -10,9 +10,7 @@ import trimesh
 from worlds.fractured_worlds import DENSITY, fractured_world
 
 from fracture_collision.fracture import planes
-from fracture_collision.geometry.concave_shapes import l_block, torus
-from fracture_collision.geometry.generators import ball, bowl, brick, plate, shell
-from fracture_collision.geometry.piggy_bank import piggy_bank
+from fracture_collision.geometry.generators import ball, bowl, brick, l_block, piggy_bank, plate, shell, torus
 from fracture_collision.geometry.sampled_bodies import sampled_ball, sampled_shell
 from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.geometry.surface_files import read_surface

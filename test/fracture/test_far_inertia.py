@@ -7,8 +7,7 @@ import pytest
 from worlds.fractured_worlds import fractured_world
 
 from fracture_collision.fracture import labels
-from fracture_collision.geometry.concave_shapes import l_block
-from fracture_collision.geometry.generators import TetGeometry, ball
+from fracture_collision.geometry.generators import TetGeometry, ball, l_block
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.records import CollisionBody, FragmentRegistry, FragmentStates
 from fracture_collision.world import CollisionWorld

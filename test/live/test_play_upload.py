@@ -10,17 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from stages.browser import chromium, knob, opened, until
+from stages.browser import knob, opened, until
 from stages.live_page import LivePage, choose, live_page
 
 from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.viewer.page.server.page_upload import MOST_BYTES
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fracture_collision.records import FractureEvent
-from fracture_collision.simulation.history import INTERVAL, KEPT, REACH, History
-from fracture_collision.simulation.live import Ball, LiveScene
+from fracture_collision.simulation.live import INTERVAL, KEPT, REACH, Ball, History, LiveScene
 from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.simulation.simulation import StepRequest
 from fracture_collision.world import CollisionWorld, Settings

@@ -16,7 +16,7 @@ from test_ros_conversion import EXAMPLES, assert_same, floats, ids
 
 from fracture_collision import msg as messages
 from fracture_collision import records
-from fracture_collision.bag.cdr import LAYOUTS, NESTED_LAYOUTS
+from fracture_collision.bag.exchanges import LAYOUTS, NESTED_LAYOUTS
 from fracture_collision.cdr import Heading
 from fracture_collision.ros.wire.cdr_padding import zero_padding
 from fracture_collision.ros.wire.cdr_records import deserialize_record, layout_of, nested_class, serialize_record

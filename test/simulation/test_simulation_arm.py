@@ -16,9 +16,18 @@ from scipy.spatial.transform import Rotation
 
 from fracture_collision.lockstep import Exchange, Lockstep
 from fracture_collision.share import share_directory
-from fracture_collision.simulation.actors.arm import JOINTS, MOVING, PARTS, URDF, ArmKinematics, Part, require_within
+from fracture_collision.simulation.actors.arm import (
+    JOINTS,
+    MOVING,
+    PARTS,
+    URDF,
+    ArmKinematics,
+    Part,
+    link_frames,
+    read_chain,
+    require_within,
+)
 from fracture_collision.simulation.config.shapes import Shape
-from fracture_collision.simulation.config.urdf_chain import link_frames, read_chain
 from fracture_collision.simulation.live import CommandRefused, LiveScene
 from fracture_collision.simulation.rotations import from_euler_angles
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, parse_scene
@@ -321,6 +330,9 @@ def row(time: float = 0.0, **angles: float) -> list[float]:
     [
         ({"swing": []}, "arm.swing: needs the name of a CSV file, or a list of rows"),
         ({"swing": [[0.0, 1.0]]}, r"arm.swing\[0\]: needs time, joint_1"),
+        ({"swing": [[0.0]]}, r"arm.swing\[0\]: needs time, joint_1"),
+        ({"swing": [{"time": 0.0}]}, r"arm.swing\[0\]: needs time, joint_1"),
+        ({"swing": [row(joint_3=10**400)]}, r"arm.swing\[0\]: needs time, joint_1"),
         ({"swing": [row(), row()]}, r"arm.swing\[1\]: time 0.0 s does not follow 0.0 s"),
         ({"swing": [row(joint_3=float("inf"))]}, r"arm.swing\[0\]: needs finite numbers"),
         ({"swing": [row(joint_6=121.0)]}, r"arm.swing\[0\]: lbr_iiwa_joint_6: 2.112 rad is not between"),

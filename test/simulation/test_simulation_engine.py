@@ -7,9 +7,13 @@ import pybullet
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fracture_collision.simulation.engine.engine import FrameState, MassProperties
-from fracture_collision.simulation.engine.free_motion import free_velocities, mean_spins
-from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.engine import (
+    FrameState,
+    MassProperties,
+    RigidBodyWorld,
+    free_velocities,
+    mean_spins,
+)
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 
 STEP = 1.0 / 400.0

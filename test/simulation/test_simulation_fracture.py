@@ -1,13 +1,22 @@
-"""Fracture within a simulation: when bodies break, and conservation of motion."""
+"""Fracture within a simulation: when bodies break, conservation of motion, the pieces of a pattern and the events."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from truth.counted_work import calls_of
 from truth.simulation_oracle import Oracle
 
+from fracture_collision.fracture.pattern import PatternSettings, draw_warp, voronoi_pattern
+from fracture_collision.fracture.pieces import bisector_crossings, connected_pieces
+from fracture_collision.geometry import generators
+from fracture_collision.geometry.tetrahedra import unique_edges
+from fracture_collision.portable_math import dots, products, sine
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.breakable_body import BreakableBody
+from fracture_collision.simulation.engine import RigidBodyWorld
 from fracture_collision.simulation.scene.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 
@@ -167,3 +176,224 @@ def test_a_body_joins_at_its_start_time(start_run):
     run = start_run(scene._replace(bodies=(scene.bodies[0], thrown)))
     named = [run.step()[0].states.fragment_ids.tolist() for _ in range(4)]
     assert named == [[1], [1], [1, 2], [1, 2]]
+
+
+PLATE = generators.plate(0.25, 0.008, 0.0125, 0.018, 2)
+BRICK = generators.brick((0.2, 0.1, 0.06), 0.02)
+MESHES = {"plate": PLATE, "brick": BRICK, "shell": generators.shell(0.1, 0.085, 0.02)}
+CURVATURES = [0.0, 0.4]
+
+
+class Labels:
+    """Follows the events as the service does, and checks the rules of FractureEvent.msg."""
+
+    def __init__(self, mesh, fragment_id):
+        self.mesh = mesh
+        self.edges = unique_edges(mesh.tetrahedra)
+        self.of_node = np.full(len(mesh.vertices), fragment_id)
+
+    def apply(self, event):
+        old = self.of_node.copy()
+        inside = (old[self.edges] == event.fragment_id).all(axis=1)
+        assert sorted(event.nodes) == sorted(np.flatnonzero(old == event.fragment_id))
+        self.of_node[event.nodes] = event.new_fragment_ids[event.node_fragments]
+        assert len(event.new_fragment_ids) >= 2
+        assert set(self.of_node[event.nodes]) == set(event.new_fragment_ids.tolist())
+        self._check_connected(event)
+        cut = event.cut_edges.reshape(-1, 2).astype(np.int64)
+        parted = self.edges[inside & (self.of_node[self.edges[:, 0]] != self.of_node[self.edges[:, 1]])]
+        assert sorted(map(tuple, np.sort(cut, axis=1))) == sorted(map(tuple, parted))
+        planes = event.cut_planes.reshape(-1, 4)
+        assert len(planes) == len(cut)
+        np.testing.assert_allclose(np.linalg.norm(planes[:, :3], axis=1), 1.0, atol=1e-14)
+        sides = np.einsum("cik,ck->ci", self.mesh.vertices[cut], planes[:, :3]) - planes[:, 3:]
+        assert np.all(sides[:, 0] <= 0.0)
+        assert np.all(sides[:, 1] > 0.0)
+        return cut, planes
+
+    def _check_connected(self, event):
+        for fragment_id in event.new_fragment_ids:
+            nodes = np.flatnonzero(self.of_node == fragment_id)
+            inside = self.edges[(self.of_node[self.edges] == fragment_id).all(axis=1)]
+            reached = {int(nodes[0])}
+            while True:
+                touching = np.isin(inside, list(reached)).any(axis=1)
+                grown = reached | set(inside[touching].ravel().tolist())
+                if grown == reached:
+                    break
+                reached = grown
+            assert reached == set(nodes.tolist())
+
+
+def pieces_by_scipy(labels, edges, minimum_nodes):
+    """The slow twin of connected_pieces."""
+    inside = edges[labels[edges[:, 0]] == labels[edges[:, 1]]]
+    graph = coo_array((np.ones(len(inside), dtype=np.int8), inside.T), shape=(len(labels), len(labels)))
+    pieces = connected_components(graph, directed=False)[1]
+    alone = set()
+    while True:
+        sizes = np.bincount(pieces)
+        small = [i for i in np.argsort(sizes, kind="stable") if 0 < sizes[i] < minimum_nodes and i not in alone]
+        if not small:
+            break
+        across = pieces[edges]
+        across = across[(across == small[0]).any(axis=1) & (across[:, 0] != across[:, 1])]
+        if not len(across):
+            alone.add(small[0])
+            continue
+        neighbours = np.where(across[:, 0] == small[0], across[:, 1], across[:, 0])
+        pieces[pieces == small[0]] = np.bincount(neighbours).argmax()
+    first = np.sort(np.unique(pieces, return_index=True)[1])
+    return np.argmax(pieces[:, None] == pieces[first], axis=1)
+
+
+@pytest.mark.parametrize("minimum_nodes", [1, 4, 30])
+@pytest.mark.parametrize("shape", MESHES)
+def test_pieces_are_those_that_scipy_finds(shape, minimum_nodes):
+    mesh, rng = MESHES[shape], np.random.default_rng(5)
+    edges = unique_edges(mesh.tetrahedra).astype(np.int64)
+    for seeds in (2, 9, 60):
+        centers = mesh.vertices[rng.choice(len(mesh.vertices), seeds, replace=False)]
+        distances = np.linalg.norm(mesh.vertices[:, None] - centers, axis=2)
+        # some nodes get another seed, so that seeds have more than one piece
+        labels = np.where(rng.random(len(distances)) < 0.05, rng.integers(seeds), distances.argmin(axis=1))
+        pieces, count, cut = connected_pieces(labels, edges, minimum_nodes)
+        expected = pieces_by_scipy(labels, edges, minimum_nodes)
+        np.testing.assert_array_equal(pieces, expected)
+        assert count == expected.max() + 1
+        np.testing.assert_array_equal(cut, edges[expected[edges[:, 0]] != expected[edges[:, 1]]])
+
+
+def break_once(mesh, seed, curvature=0.0, overload=4.0, **settings):
+    body = BreakableBody(3, 5, mesh)
+    pattern = PatternSettings(curvature=curvature, **settings)
+    return body, body.fracture(5, 1, 100, mesh.vertices[7], overload, pattern, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("curvature", CURVATURES)
+@pytest.mark.parametrize("shape", MESHES)
+def test_three_generations_of_events_keep_the_rules(shape, curvature):
+    mesh = MESHES[shape]
+    body, labels = BreakableBody(3, 5, mesh), Labels(mesh, 5)
+    settings = PatternSettings(seeds=6, seeds_per_overload=3.0, curvature=curvature)
+    next_id, living = 6, [5]
+    for sequence in range(1, 6):
+        victim = max(living, key=body.node_count)
+        impact = mesh.vertices[np.flatnonzero(labels.of_node == victim)[0]]
+        event = body.fracture(victim, sequence, next_id, impact, 2.0, settings, np.random.default_rng([1, sequence]))
+        assert event.sequence == sequence
+        assert event.body_id == 3
+        labels.apply(event)
+        living.remove(victim)
+        living += event.new_fragment_ids.tolist()
+        next_id += len(event.new_fragment_ids)
+    assert len(living) > 12
+    assert min(map(body.node_count, living)) >= settings.minimum_nodes
+
+
+def test_flat_cracks_share_one_plane_bit_for_bit():
+    _, event = break_once(PLATE, 1, minimum_nodes=1)
+    labels = Labels(PLATE, 5)
+    cut, planes = labels.apply(event)
+    between = np.sort(labels.of_node[cut], axis=1)
+    pairs = np.unique(between, axis=0)
+    for pair in pairs:
+        those = planes[(between == pair).all(axis=1)]
+        assert len(np.unique(np.vstack((those, -those)).round(12), axis=0)) == 2 * len(np.unique(those, axis=0))
+    # A pair of pieces has one plane, unless separate pieces of one seed add their own.
+    assert len(np.unique(planes, axis=0)) <= len(pairs) + 2
+
+
+def test_curved_cracks_are_curved_and_smooth():
+    _, event = break_once(PLATE, 1, curvature=0.4)
+    labels = Labels(PLATE, 5)
+    cut, planes = labels.apply(event)
+    between = np.sort(labels.of_node[cut], axis=1)
+    pairs, sizes = np.unique(between, axis=0, return_counts=True)
+    pair = pairs[sizes.argmax()]
+    normals = planes[(between == pair).all(axis=1), :3]
+    bend = normals @ normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
+    assert bend.min() < 0.999
+    assert np.median(bend) > 0.8
+
+
+def test_bisectors_are_crossed_where_halvings_in_numpy_find_them():
+    """To the last bit: the slow twin of the kernel."""
+    random = np.random.default_rng(3)
+    warp = draw_warp(random.uniform(-1.0, 1.0, (100, 3)), 12, 0.3, random)
+
+    def image(points):
+        return points + products(sine(products(points, warp.waves.T) + warp.phases), warp.amplitudes)
+
+    start = random.uniform(-1.0, 1.0, (200, 3))
+    way = random.uniform(-0.1, 0.1, start.shape)
+    s, t = image(start - 0.5 * way), image(start + 1.8 * way)
+    low, high = np.zeros(len(start)), np.ones(len(start))
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        place = image(start + middle[:, None] * way)
+        nearer_s = dots(place - s, place - s) <= dots(place - t, place - t)
+        low, high = np.where(nearer_s, middle, low), np.where(nearer_s, high, middle)
+    found = bisector_crossings(*(np.ascontiguousarray(rows.T) for rows in (start, way, s, t)), warp.each)
+    assert np.array_equal(found, 0.5 * (low + high)) and np.array_equal(warp(start), image(start))
+    assert np.ptp(found) > 0.1
+
+
+def test_pieces_are_smaller_near_the_impact():
+    near, far = [], []
+    for seed in range(8):
+        _, event = break_once(PLATE, seed, concentration=2.5, seeds=20, overload=9.0)
+        impact = PLATE.vertices[7]
+        pieces = [event.nodes[event.node_fragments == i] for i in range(len(event.new_fragment_ids))]
+        centers = np.array([PLATE.vertices[piece].mean(axis=0) for piece in pieces])
+        sizes = np.bincount(event.node_fragments)
+        order = np.argsort(np.linalg.norm(centers - impact, axis=1))
+        near.append(sizes[order[:5]].mean())
+        far.append(sizes[order[-5:]].mean())
+    assert np.mean(near) < 0.6 * np.mean(far)
+
+
+def test_a_harder_blow_makes_more_pieces_and_equal_blows_equal_bytes():
+    few, many = (len(break_once(PLATE, 3, overload=x)[1].new_fragment_ids) for x in (1.0, 3.0))
+    assert few < many
+    first, second = break_once(PLATE, 3, 0.3)[1], break_once(PLATE, 3, 0.3)[1]
+    assert all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in zip(first, second, strict=True))
+    assert break_once(PLATE, 4, 0.3)[1].cut_planes.tobytes() != first.cut_planes.tobytes()
+
+
+def test_a_body_too_small_for_two_pieces_does_not_break():
+    assert break_once(generators.brick((0.1, 0.1, 0.1), 0.1), 1, minimum_nodes=5)[1] is None
+
+
+def test_python_calls_do_not_grow_with_the_mesh():
+    """So no loop in Python is over nodes or edges: the finer mesh has fourteen times as many nodes."""
+    coarse, fine = (generators.plate(0.25, 0.008, edge_length, 0.018, 2) for edge_length in (0.025, 0.00625))
+    assert len(fine.vertices) > 10 * len(coarse.vertices)
+    for mesh in (coarse, fine):
+        break_once(mesh, 1, 0.3)  # loads kernels
+    few, many = (calls_of(lambda mesh=mesh: break_once(mesh, 1, 0.3)) for mesh in (coarse, fine))
+    assert many < 1.5 * few
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("count", [1, 2, 3, 6])
+def test_curved_cracks_divide_nodes_on_a_line(axis: int, count: int) -> None:
+    """A piece may have its nodes on a line parallel to an axis, or one node; equal arguments give equal patterns."""
+    points = np.zeros((count, 3))
+    points[:, axis] = np.arange(count)
+    edges = np.column_stack((np.arange(count - 1), np.arange(1, count)))
+    settings = PatternSettings(curvature=0.25, minimum_nodes=1)
+    for seed in range(20):
+        twice = [
+            voronoi_pattern(points, edges, points[0], 4, settings, np.random.default_rng(seed)) for _ in range(2)
+        ]
+        if twice[0] is None:
+            assert twice[1] is None
+            continue
+        for one, other in zip(*twice, strict=True):
+            assert np.array_equal(one, other)
+        pattern = twice[0]
+        assert np.isfinite(pattern.cut_planes).all()
+        start, end = points[pattern.cut_edges[:, 0]], points[pattern.cut_edges[:, 1]]
+        normals, offsets = pattern.cut_planes[:, :3], pattern.cut_planes[:, 3]
+        assert ((start * normals).sum(axis=1) <= offsets).all() and ((end * normals).sum(axis=1) > offsets).all()

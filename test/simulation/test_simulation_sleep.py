@@ -1,4 +1,7 @@
-"""Bodies at rest sleep, bit for bit; touching, pushing, grabbing or losing support wakes them."""
+"""Bodies at rest sleep, bit for bit; touching, pushing, grabbing or losing support wakes them.
+
+Contacts that the service omits for a step are remembered and move with their bodies.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from fracture_collision.records import FragmentStates
+from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.simulation.scene.scene import Scene, parse_scene
 from fracture_collision.simulation.simulation import Simulation, StepReport
+from fracture_collision.simulation.solver.contact_memory import NOTHING, rest_gaps_of, with_remembered
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
 from fracture_collision.simulation.solver.sleep import NOBODY, Rest, after_step, roused, settled
 from fracture_collision.world import CollisionWorld, Settings
@@ -182,3 +187,119 @@ def test_slow_bodies_count_as_quiet() -> None:
     quiet = rest.quiet >= SolverSettings().sleep_time
     assert quiet.tolist() == [True, False, False, True, True]
     assert rest.quiet[4] == pytest.approx(steps * time_step)
+
+
+REACH = np.full(2, 2.5e-4)  # of each pair; the tests have one or two
+
+
+def states_of(frames):
+    """frames: fragment id -> (position, rotation)."""
+    ids = sorted(frames)
+    return FragmentStates(
+        0, 0, np.array(ids, np.uint32),
+        np.concatenate([frames[i][0] for i in ids]), np.concatenate([frames[i][1].as_quat() for i in ids]),
+    )  # fmt: skip
+
+
+def contacts_of(*pairs):
+    """pairs: (a, b, [(id, point_a, point_b, normal)])."""
+    flat = [contact for _, _, found in pairs for contact in found]
+    point_a, point_b, normal = (np.array([c[k] for c in flat]).reshape(-1, 3) for k in (1, 2, 3))
+    return ContactConstraintArray(
+        0, 0, 0, np.array([a for a, _, _ in pairs], np.uint32), np.array([b for _, b, _ in pairs], np.uint32),
+        np.cumsum([0] + [len(found) for _, _, found in pairs]).astype(np.uint32),
+        *[np.zeros(len(pairs))] * 3, point_a.ravel(), point_b.ravel(), normal.ravel(),
+        np.einsum("ck,ck->c", point_b - point_a, normal), np.array([c[0] for c in flat], np.uint64),
+    )  # fmt: skip
+
+
+UP = np.array([0.0, 0.0, 1.0])
+STILL = (np.zeros(3), Rotation.identity())
+
+
+def contact(number, x, gap):
+    point = np.array([x, 0.0, 0.0])
+    return number, point, point + gap * UP, UP
+
+
+def test_an_omitted_contact_moves_with_its_bodies():
+    first = contacts_of((3, 8, [contact(1, 0.0, 0.0), contact(2, 0.1, -1e-4)]))
+    merged, memory = with_remembered(first, states_of({3: STILL, 8: STILL}), NOTHING, REACH)
+    for got, expected in zip(merged, first, strict=True):
+        np.testing.assert_array_equal(got, expected)
+
+    # Both rotate and move as one; b lifts off by 1.5e-4 along the rotated normal.
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.2])
+    shift = np.array([1.0, 2.0, 3.0])
+    lifted = shift + 1.5e-4 * turn.apply(UP)
+    second = contacts_of((3, 8, [(1, shift, lifted, turn.apply(UP))]))
+    merged, memory = with_remembered(second, states_of({3: (shift, turn), 8: (lifted, turn)}), memory, REACH)
+    assert merged.contact_ids.tolist() == [1, 2]
+    assert merged.pair_begin.tolist() == [0, 2]
+    np.testing.assert_allclose(merged.points_a[3:], turn.apply([0.1, 0.0, 0.0]) + shift, atol=1e-15)
+    np.testing.assert_allclose(merged.normals[3:], turn.apply(UP), atol=1e-15)
+    np.testing.assert_allclose(merged.gaps, [1.5e-4, 0.5e-4], atol=1e-15)
+
+    # Beyond the reach it is forgotten permanently.
+    lifted = shift + 4.0e-4 * turn.apply(UP)
+    far, memory = with_remembered(second, states_of({3: (shift, turn), 8: (lifted, turn)}), memory, REACH)
+    assert far.contact_ids.tolist() == [1]
+    near, _ = with_remembered(second, states_of({3: (shift, turn), 8: (shift, turn)}), memory, REACH)
+    assert near.contact_ids.tolist() == [1]
+
+
+def test_contacts_that_slip_or_separate_are_dropped_and_listed_ones_not_doubled():
+    both = contacts_of((3, 8, [contact(1, 0.0, 0.0), contact(2, 0.1, 0.0)]), (3, 9, [contact(1, 0.2, 0.0)]))
+    states = states_of({3: STILL, 8: STILL, 9: STILL})
+    _, memory = with_remembered(both, states, NOTHING, REACH)
+    again, _ = with_remembered(both, states, memory, REACH)
+    assert again.contact_ids.tolist() == [1, 2, 1]
+    slipped = states_of({3: STILL, 8: (np.array([3e-4, 0.0, 0.0]), Rotation.identity()), 9: STILL})
+    one = contacts_of((3, 8, [contact(1, 0.0, 0.0)]))
+    assert with_remembered(one, slipped, memory, REACH)[0].contact_ids.tolist() == [1]
+    # A pair that the service no longer lists has separated, whatever was remembered.
+    kept, _ = with_remembered(one, states, memory, REACH)
+    assert kept.fragment_b.tolist() == [8]
+    assert kept.contact_ids.tolist() == [1, 2]
+    none, _ = with_remembered(contacts_of(), states, memory, REACH)
+    assert len(none.gaps) == 0
+
+
+def test_static_bodies_without_states_are_in_the_world_frame():
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.4])
+    first = contacts_of((1, 8, [contact(5, 0.3, 0.0), contact(6, 0.4, 0.0)]))
+    _, memory = with_remembered(first, states_of({8: (np.zeros(3), turn)}), NOTHING, REACH)
+    second = contacts_of((1, 8, [contact(5, 0.3, 0.0)]))
+    merged, _ = with_remembered(second, states_of({8: (np.zeros(3), turn)}), memory, REACH)
+    assert merged.contact_ids.tolist() == [5, 6]
+    np.testing.assert_allclose(merged.points_a[3:], [0.4, 0.0, 0.0], atol=1e-15)
+
+
+def test_a_remembered_contact_with_a_normal_of_its_own_is_dropped():
+    """A sample has slipped over an edge: the pair touches only at another face, so the old contact is dropped."""
+    aside = np.array([1.0, 0.0, 0.0])
+    point = np.array([0.1, 0.0, 0.0])
+    both = contacts_of((3, 8, [contact(1, 0.0, 0.0), (2, point, point, aside)]))
+    states = states_of({3: STILL, 8: STILL})
+    _, memory = with_remembered(both, states, NOTHING, REACH)
+    left, after = with_remembered(contacts_of((3, 8, [(2, point, point, aside)])), states, memory, REACH)
+    assert left.contact_ids.tolist() == [2]
+    assert after.contact_ids.tolist() == [2], "for good"
+    # With a slightly tilted normal, as on a curved face, the old contact stays.
+    leaning = np.array([np.sin(0.4), 0.0, np.cos(0.4)])
+    kept, _ = with_remembered(contacts_of((3, 8, [(4, point, point, leaning)])), states, memory, REACH)
+    assert kept.contact_ids.tolist() == [4, 1]
+
+
+def test_fragments_of_one_body_rest_in_contact_until_they_have_moved():
+    """Fragments 3 and 4 are of one body, 8 of another; 4 has rotated about the first of its contacts with 3."""
+    turn = Rotation.from_euler("z", 0.01)
+    near, far = np.array([0.1, 0.0, 0.0]), np.array([0.3, 0.0, 0.0])
+    moved = near - turn.apply(near)  # keeps the near point fixed
+    contacts = contacts_of((3, 4, [(1, near, near, UP), (2, far, far, UP)]), (3, 8, [(3, near, near, UP)]))
+    states = states_of({3: STILL, 4: (moved, turn), 8: STILL})
+    _, memory = with_remembered(contacts, states, NOTHING, REACH)
+    rest_gaps = np.array([1e-4, 2e-4])
+    assert rest_gaps_of(memory, np.array([True, False]), rest_gaps).tolist() == [0.0, 1e-4, 2e-4]
+    assert rest_gaps_of(memory, np.array([False, False]), rest_gaps).tolist() == [1e-4, 1e-4, 2e-4]
+    assert rest_gaps_of(NOTHING, np.zeros(0, bool), np.zeros(0)).tolist() == []

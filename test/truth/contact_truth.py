@@ -11,8 +11,7 @@ from oracles.brute_force import distances, owners, partition_of
 from scipy.spatial.transform import Rotation
 from worlds.fractured_worlds import FracturedWorld, samples_of
 
-from fracture_collision.geometry.concave_shapes import l_block, torus
-from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, shell
+from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, l_block, shell, torus
 from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld

@@ -1,4 +1,4 @@
-"""The page without a browser: what it serves, stores and sends."""
+"""The page without a browser: what it serves, stores and sends, also to the client that benchmarks/page uses."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from stages.browser import until
 from worlds.small_run import small_run
 
+from benchmarks.page.lookers import taker
 from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
 from fracture_collision.viewer.page.page import INTERVAL, MOST_BEHIND, Page
 from fracture_collision.viewer.page.page_plots import Figures
@@ -237,3 +239,30 @@ def test_thirty_two_pictures_a_second_show_the_newest_states_and_all_figures() -
         assert len(page._plots._rows) == step  # all figures are kept, also those between two pictures
     with pytest.raises(ValueError, match="no figures beer; there are time"):
         Page(told=frozenset({"beer"}))
+
+
+PICTURES = 5
+
+
+def test_a_test_client_gets_the_meshes_and_poses_of_a_browser() -> None:
+    records = [record for _, record in small_run()]
+    states = next(r for r in records if isinstance(r, FragmentStates))
+    with Page() as page:
+        for record in records:
+            if isinstance(record, CollisionBody):
+                page.add_body(record)
+        page.show_states(states)
+        with taker(page.address) as seen:
+            until(lambda: sorted(mesh.fragment_id for mesh in seen.meshes()), lambda ids: ids == [2, 3, 4, 5])
+            until(lambda: page.browsers, lambda count: count == 1)
+            until(lambda: seen.pictures().count, bool)  # the state at its connection
+            places, counted = states.positions.reshape(-1, 3), []
+            for step in range(1, PICTURES + 1):
+                before = page.pictures
+                page.show_states(states._replace(positions=(places + [0.0, 0.0, 0.01 * step]).ravel()))
+                until(lambda before=before: page.pictures, lambda count, before=before: count > before)
+            # a newer pose may replace one that has not been sent
+            until(lambda: counted.append(seen.pictures()) or sum(each.count for each in counted), bool)
+    assert sum(each.count for each in counted) <= PICTURES + 1  # plus one that may have been in flight
+    assert 0.0 < counted[-1].moved <= len(places)
+    assert not seen.shown()

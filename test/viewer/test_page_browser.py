@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stages.browser import HEIGHT, PATIENCE, WIDTH, chromium, knob, opened, picture_of, until
+from stages.browser import HEIGHT, PATIENCE, WIDTH, knob, opened, picture_of, until
 from worlds.small_run import small_run
 
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
@@ -20,12 +20,6 @@ from fracture_collision.viewer.page.page_events import Handlers, InsideWanted, P
 from fracture_collision.viewer.page.page_inside import InsideFigures, InsideView, PlanePicture, Spheres
 from fracture_collision.viewer.page.page_plots import Figures
 from fracture_collision.viewer.pictures.ray_picture import Camera
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 def run_of_records() -> RecordedRun:

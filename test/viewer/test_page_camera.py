@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from stages import page_client
-from stages.browser import HEIGHT, chromium, opened, picture_of, until
+from stages.browser import HEIGHT, opened, picture_of, until
 from worlds.small_run import small_run
 
 from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.viewer.page.page import Page
 from fracture_collision.viewer.page.page_camera import ABOVE_FLOOR, FREE_ASPECT, WIDE, fitted
 from fracture_collision.viewer.pictures.ray_picture import Camera
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 def begin(page: Page, shift: float = 0.0) -> None:

@@ -6,7 +6,6 @@ import gzip
 import itertools
 import re
 import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 from queue import Queue
 from typing import Any
@@ -14,22 +13,23 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from stages.browser import chromium, knob, opened, until
+from stages.browser import knob, opened, until
 from worlds.small_run import small_run
 
 from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
 from fracture_collision.run_meshes import read_run_with_meshes
 from fracture_collision.viewer.page.bag_player import BagPlayer
 from fracture_collision.viewer.page.page import Page
+from fracture_collision.viewer.page.page_controls import help_text
 from fracture_collision.viewer.page.page_events import Handlers, Joint, ServiceSliders, SettingKnob, Start
-from fracture_collision.viewer.page.page_help import help_text
-from fracture_collision.viewer.page.page_plots import SHOWN, Figures
-from fracture_collision.viewer.page.page_summary import (
+from fracture_collision.viewer.page.page_plots import (
     BUSY_WORDS,
     PATIENCE,
     PAUSED_WORDS,
+    SHOWN,
     SLOW_WORDS,
     Census,
+    Figures,
     Pace,
     has_time_left,
     words_of,
@@ -44,12 +44,6 @@ KNOBS = {
 ALL = Handlers(*(lambda *_: None,) * len(Handlers._fields))
 JOINTS = tuple(Joint(f"j{i}", -1, 1) for i in range(7))
 START = Start(("plates", "vase"), "plates", mesh_suffixes=(".obj",), settings=KNOBS, joints=JOINTS)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 def begin(page: Page, step: int = 0) -> None:

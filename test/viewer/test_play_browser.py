@@ -8,17 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stages.browser import chromium, opened, until
+from stages.browser import opened, until
 from stages.live_page import LivePage, live_page, on_a_plate
 
 PLATES = 4
 TRIES, LIFT = 4, 60.0  # tries, and [s] per try to lift a dragged plate
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
-from stages.browser import chromium, opened, until
+from stages.browser import opened, until
 from stages.live_page import LivePage, choose, knob, live_page, on_a_plate
 
 from fracture_collision.cli.commands import main
@@ -24,12 +24,6 @@ PLATES = 4
 # With software rendering, on the processors that run the nodes, these take minutes.
 pytestmark = pytest.mark.slow
 BUDGET_EXHAUSTED = 1
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from worlds.small_run import small_run
 
 from fracture_collision.bag.reader import BagError
 from fracture_collision.records import CollisionBody, FragmentStates
-from fracture_collision.viewer.film.film_strip import GAP, render_film_strip
+from fracture_collision.viewer.film.film import GAP, render_film_strip
 from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates, read_run
-from fracture_collision.viewer.film.run_camera import chosen_moments
+from fracture_collision.viewer.film.run_scene import chosen_moments
 from fracture_collision.viewer.film.times_plot import plot_times
 from fracture_collision.viewer.pictures.ray_picture import Camera, TriangleScene, render
 

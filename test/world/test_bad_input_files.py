@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fracture_collision.geometry.stored_meshes import bunny, read_tetrahedra
-from fracture_collision.simulation.config.scene_files import MAX_SCENE_BYTES
+from fracture_collision.simulation.config.scene_fields import MAX_SCENE_BYTES
 from fracture_collision.simulation.scene.scene import SceneError, load_scene, scene_files
 
 LAUGHS = "a0: &a0 [lol, lol]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))

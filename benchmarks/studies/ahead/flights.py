@@ -28,8 +28,7 @@ from benchmarks.studies.ahead.against import (
 from benchmarks.studies.pictures import BLUE, RED, finish, new_figure
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
-from fracture_collision.geometry.concave_shapes import l_block
-from fracture_collision.geometry.generators import TetGeometry, ball, brick
+from fracture_collision.geometry.generators import TetGeometry, ball, brick, l_block
 from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentStates, SolidPrimitive

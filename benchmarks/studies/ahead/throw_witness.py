@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fracture_collision.records import ContactConstraintArray, FragmentStates
-from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.engine import BodyStates
 from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.world import CollisionWorld, Settings

@@ -29,8 +29,7 @@ from benchmarks.studies.pictures import BLUE, ORANGE, RED, finish, new_figure
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
 from fracture_collision.records import FragmentStates
-from fracture_collision.simulation.engine.engine import BodyStates
-from fracture_collision.simulation.engine.rigid_body_world import RigidBodyWorld
+from fracture_collision.simulation.engine import BodyStates, RigidBodyWorld
 from fracture_collision.simulation.scene.scene import Scene, parse_scene
 from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.world import CollisionWorld, Settings

@@ -31,8 +31,7 @@ from fracture_collision.ros.processes.parameters import Declaration, Range, decl
 from fracture_collision.ros.processes.process import Fatal, run_node
 from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.conversion import header_of, heading
-from fracture_collision.simulation.history import REACH, History, Moment
-from fracture_collision.simulation.live import Ball, CommandRefused, LiveScene
+from fracture_collision.simulation.live import REACH, Ball, CommandRefused, History, LiveScene, Moment
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, scene_names
 from fracture_collision.simulation.simulation import Simulation, StepReport
 

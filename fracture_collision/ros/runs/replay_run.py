@@ -10,8 +10,7 @@ from types import TracebackType
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
-from fracture_collision.bag.cdr import deserialize_record
-from fracture_collision.bag.exchanges import Message, Question, Run, canonical
+from fracture_collision.bag.exchanges import Message, Question, Run, canonical, deserialize_record
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.replay import Unanswered
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id

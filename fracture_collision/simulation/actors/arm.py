@@ -2,6 +2,9 @@
 
 Each link is represented by one to three spheres, the flange carries a block to strike with, and the foot is a box that
 cannot move; to the collision service they are bodies like any other. `arm_control` makes them follow their links.
+
+Forward kinematics: the frame of link j is that of link j - 1, moved by the joint's `origin` and turned about its
+`axis` by the joint's angle (REP-103 axes; URDF's rpy are rotations about fixed x, y, z axes in this order).
 """
 
 from __future__ import annotations
@@ -9,17 +12,97 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from fracture_collision.portable_math import cosine, lengths, sine
 from fracture_collision.records import documented
 from fracture_collision.share import share_directory
-from fracture_collision.simulation.actors.hand import rows_of_file
-from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, meaning, quoted
+from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError
 from fracture_collision.simulation.config.shapes import Shape
-from fracture_collision.simulation.config.urdf_chain import JointLimits, joint_turns, link_frames, read_chain
-from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, rotation_matrices, turned
+from fracture_collision.simulation.rotations import (
+    DEGREE,
+    from_euler_angles,
+    quaternion_products,
+    rotation_matrices,
+    turned,
+    turned_by,
+)
+
+
+class JointLimits(NamedTuple):
+    """Of k joints, in the order of the chain."""
+
+    names: tuple[str, ...]
+    lower: np.ndarray  # (k,) [rad]
+    upper: np.ndarray  # (k,) [rad]
+    speeds: np.ndarray  # (k,) [rad/s]
+
+
+class Chain(NamedTuple):
+    """k revolute joints, each at the end of the previous link."""
+
+    limits: JointLimits
+    links: tuple[str, ...]  # k + 1 names, from the base link
+    places: np.ndarray  # (k, 3) [m], of the joint in the frame of the previous link
+    turns: np.ndarray  # (k, 4) unit quaternions x y z w, likewise
+    axes: np.ndarray  # (k, 3) unit, in the joint's frame
+
+
+def read_chain(file: Path) -> Chain:
+    """The revolute joints of a URDF file, in its order. ValueError if they do not form one chain or lack an element."""
+    joints = [joint for joint in ElementTree.parse(file).getroot().iter("joint") if joint.get("type") == "revolute"]
+    for before, after in zip(joints[:-1], joints[1:], strict=True):
+        if _attribute(before, "child", "link") != _attribute(after, "parent", "link"):
+            raise ValueError(
+                f"{file}: joint {after.get('name')} does not follow {before.get('name')}: needs one chain of joints"
+            )
+    lower, upper, speeds = (np.concatenate([_numbers(joint, "limit", key) for joint in joints])
+                            for key in ("lower", "upper", "velocity"))  # fmt: skip
+    limits = JointLimits(tuple(joint.get("name", "") for joint in joints), lower, upper, speeds)
+    axes = np.array([_numbers(joint, "axis", "xyz") for joint in joints])
+    return Chain(
+        limits,
+        (_attribute(joints[0], "parent", "link"), *(_attribute(joint, "child", "link") for joint in joints)),
+        np.array([_numbers(joint, "origin", "xyz") for joint in joints]),
+        np.array([from_euler_angles(_numbers(joint, "origin", "rpy")) for joint in joints]),
+        axes / lengths(axes)[:, None],
+    )
+
+
+def link_frames(
+    chain: Chain, position: np.ndarray, orientation: np.ndarray, angles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Origins (k, 3) [m] and orientations (k, 4) of the links after each joint, given the base link's frame."""
+    origins, orientations = np.empty_like(chain.places), np.empty_like(chain.turns)
+    local = joint_turns(chain, angles)
+    for j in range(len(angles)):
+        position = position + turned_by(orientation, chain.places[j])
+        orientation = quaternion_products(orientation[None], local[j : j + 1])[0]
+        origins[j], orientations[j] = position, orientation
+    return origins, orientations
+
+
+def joint_turns(chain: Chain, angles: np.ndarray) -> np.ndarray:
+    """Orientations (k, 4) of the links after each joint, in the frame of the link before it."""
+    half = 0.5 * np.asarray(angles)
+    about = np.column_stack((sine(half)[:, None] * chain.axes, cosine(half)))
+    return quaternion_products(chain.turns, about)
+
+
+def _numbers(joint: ElementTree.Element, tag: str, key: str) -> np.ndarray:
+    return np.array([float(number) for number in _attribute(joint, tag, key).split()])
+
+
+def _attribute(joint: ElementTree.Element, tag: str, key: str) -> str:
+    element = joint.find(tag)
+    value = None if element is None else element.get(key)
+    if value is None:
+        raise ValueError(f"joint {joint.get('name')}: needs <{tag} {key}=...>")
+    return value
+
 
 URDF = Path("config", "robots", "lbr_iiwa.urdf")
 JOINTS = 7
@@ -147,22 +230,15 @@ def robot_description() -> str:
 
 def parse_arm(fields: Fields, folder: Path | None) -> Arm:
     """`swing` is a CSV file beside the scene, or a list of its rows: a time [s] and seven angles [degrees]."""
-    default = ArmSettings()
-    values = default._asdict()
-    settings = ArmSettings(*[fields.number(key, meaning(default, key), values[key], above=0.0) for key in values])
+    settings = ArmSettings(**fields.numbers(ArmSettings, above=ArmSettings._fields))
     position = fields.vector("position", "[m] of its foot", 3, (0.0, 0.0, 0.0))
     rotation = fields.vector("rotation", f"[degrees] of its foot, {ROTATION}", 3, (0.0, 0.0, 0.0))
     orientation = from_euler_angles(DEGREE * rotation)
     words = "rows of time [s] and seven joint angles [degrees]; it stands as in the first row until then"
-    swing, path = fields.take("swing", words, kind="CSV file, or list of rows"), fields.name("swing")
-    if isinstance(swing, str):
-        swing = rows_of_file((folder or Path()) / swing, path, COLUMNS)
-    if not isinstance(swing, list) or not swing:
-        raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {quoted(swing)}")
+    rows, _ = fields.timed_rows("swing", words, COLUMNS, folder)
     fields.finish()
-    rows = _rows(swing, path)
     arm = Arm(settings, position, orientation, rows[:, 0].copy(), DEGREE * rows[:, 1:])
-    _require_possible(arm, joint_limits(), path)
+    _require_possible(arm, joint_limits(), fields.name("swing"))
     return arm
 
 
@@ -175,20 +251,6 @@ def require_within(limits: JointLimits, angles: Sequence[float] | np.ndarray) ->
 
 def _file() -> Path:
     return share_directory() / URDF
-
-
-def _rows(swing: list, path: str) -> np.ndarray:
-    rows = np.empty((len(swing), len(COLUMNS)))
-    for i, row in enumerate(swing):
-        try:
-            rows[i] = [float(number) for number in row]
-        except (ValueError, TypeError) as error:
-            raise SceneError(f"{path}[{i}]: needs {', '.join(COLUMNS)}, got {quoted(row)}") from error
-        if not np.all(np.isfinite(rows[i])):
-            raise SceneError(f"{path}[{i}]: needs finite numbers, got {quoted(row)}")
-        if i and rows[i, 0] <= rows[i - 1, 0]:
-            raise SceneError(f"{path}[{i}]: time {rows[i, 0]} s does not follow {rows[i - 1, 0]} s")
-    return rows
 
 
 def _require_possible(arm: Arm, limits: JointLimits, path: str) -> None:

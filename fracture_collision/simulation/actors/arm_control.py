@@ -24,9 +24,8 @@ import numpy as np
 from fracture_collision.grouping import begins_of
 from fracture_collision.portable_math import dots, images, lengths, rotation_vectors
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.simulation.actors.arm import JOINTS, Arm, ArmKinematics, require_within
-from fracture_collision.simulation.config.urdf_chain import JointLimits
-from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.actors.arm import JOINTS, Arm, ArmKinematics, JointLimits, require_within
+from fracture_collision.simulation.engine import BodyStates
 from fracture_collision.simulation.rotations import INVERSE, quaternion_products
 from fracture_collision.simulation.solver.contact_solver import kinetic_energy
 

@@ -1,24 +1,31 @@
-"""Fields of a scene file, consumed one by one; every error is a SceneError that names the field."""
+"""Scene files as plain data of bounded size, and their fields, consumed one by one.
+
+Every error is a SceneError that names the file or the field.
+"""
 
 from __future__ import annotations
 
+import csv
 import math
 import reprlib
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
 from fracture_collision.near_names import did_you_mean
-from fracture_collision.plain_yaml import shortened
+from fracture_collision.plain_yaml import YamlError, load_yaml, shortened
 
 
 class SceneError(ValueError):
     """An invalid scene file; the text begins with the field's path."""
 
 
+MAX_SCENE_BYTES = 1_000_000
+MAX_TRACK_BYTES = 20_000_000  # hours of a hand, at one row per step
 ROTATION = "about the fixed axes x, y and z, one after the other"
 
 
@@ -123,6 +130,57 @@ class Fields:
             parts = Fields({str(i): part for i, part in enumerate(value)}, self.name(key))
             return np.array([parts.number(str(i), words, above=above) for i in range(size)])
 
+    def numbers(self, record: Any, above: Container[str] = (), shares: Container[str] = ()) -> dict[str, Any]:
+        """Numbers of at least 0 for the `int` and `float` fields of a NamedTuple, with its defaults and documentation.
+
+        `above`: those of more than 0; `shares`: those of at most 1. Raises SceneError.
+        """
+        found: dict[str, Any] = {}
+        for key, kind in get_type_hints(record).items():
+            words, default = getattr(record, key).__doc__, record._field_defaults.get(key, ...)
+            if kind is int:
+                found[key] = self.integer(key, words, default)
+            elif kind is float:
+                low = {"above": 0.0} if key in above else {"minimum": 0.0}
+                found[key] = self.number(key, words, default, maximum=1.0 if key in shares else math.inf, **low)
+        return found
+
+    def settings(self, key: str, words: str, record: Any) -> Any:
+        """A NamedTuple of `numbers` that all have defaults, from the mapping `key`; raises SceneError."""
+        part = Fields(self.mapping(key, words, {}), self.name(key))
+        made = record(**part.numbers(record))
+        part.finish()
+        return made
+
+    def timed_rows(
+        self, key: str, words: str, columns: list[str], folder: Path | None, texts: int = 0
+    ) -> tuple[np.ndarray, list[list[str]]]:
+        """Rows of a CSV file in `folder`, or of a list: ascending times [s], then other numbers, then `texts` texts.
+
+        The numbers (k, len(columns) - texts), and the texts of each row. `columns`: the header of the file. Raises
+        SceneError.
+        """
+        rows, path = self.take(key, words, kind="CSV file, or list of rows"), self.name(key)
+        if isinstance(rows, str):
+            rows = _rows_of_file((folder or Path()) / rows, path, columns)
+        if not isinstance(rows, list) or not rows:
+            raise SceneError(f"{path}: needs the name of a CSV file, or a list of rows, got {quoted(rows)}")
+        count = len(columns) - texts
+        values = np.empty((len(rows), count))
+        for i, row in enumerate(rows):
+            try:
+                values[i] = [float(number) for number in row[:count]]
+                is_complete = len(row) == len(columns)
+            except (ValueError, TypeError, OverflowError, LookupError):
+                is_complete = False
+            if not is_complete:
+                raise SceneError(f"{path}[{i}]: needs {', '.join(columns)}, got {quoted(row)}")
+            if not np.all(np.isfinite(values[i])):
+                raise SceneError(f"{path}[{i}]: needs finite numbers, got {quoted(row)}")
+            if i and values[i, 0] <= values[i - 1, 0]:
+                raise SceneError(f"{path}[{i}]: time {values[i, 0]} s does not follow {values[i - 1, 0]} s")
+        return values, [[str(text or "") for text in row[count:]] for row in rows]
+
     def mapping(self, key: str, words: str, default: Any = ...) -> Mapping:
         """A mapping, of further fields; raises SceneError."""
         value = self.take(key, words, default, "fields")
@@ -148,17 +206,38 @@ class Fields:
             raise SceneError(f"{self.name(shortened(str(key)))}: unknown field{advice}")
 
 
-def numbers(fields: Fields, defaults: Any) -> Any:
-    """A NamedTuple of non-negative numbers from fields of the same names, documented by those of the NamedTuple."""
-    values = {
-        key: fields.integer(key, meaning(defaults, key), default)
-        if isinstance(default, int) else fields.number(key, meaning(defaults, key), default, minimum=0.0)
-        for key, default in defaults._asdict().items()
-    }  # fmt: skip
-    fields.finish()
-    return type(defaults)(**values)
+def read_text(file: Path, most_bytes: int) -> str:
+    """The text of a regular file of at most `most_bytes`; raises SceneError."""
+    try:
+        if not file.is_file():  # a device or a pipe may never end
+            raise SceneError(f"{file}: no such file")
+        with file.open("rb") as stream:
+            data = stream.read(most_bytes + 1)
+    except (OSError, ValueError) as error:
+        raise error if isinstance(error, SceneError) else SceneError(f"{file}: {error}") from error
+    if len(data) > most_bytes:
+        raise SceneError(f"{file}: more than {most_bytes} bytes")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{file}: not UTF-8: {error}") from error
 
 
-def meaning(record: Any, key: str) -> str:
-    """What the documentation of a NamedTuple says about its field."""
-    return getattr(type(record), key).__doc__
+def read_yaml(file: Path) -> Any:
+    """Content of a YAML file: mappings, lists, texts and numbers, no objects; raises SceneError."""
+    try:
+        return load_yaml(read_text(file, MAX_SCENE_BYTES))
+    except YamlError as error:
+        raise SceneError(f"{file}: {error}") from error
+
+
+def _rows_of_file(file: Path, path: str, columns: list[str]) -> list[list[str]]:
+    """Rows of a CSV file with the header `columns`; `path` is the field that names the file. Raises SceneError."""
+    try:
+        lines = read_text(file, MAX_TRACK_BYTES).splitlines(keepends=True)
+        rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
+    except (SceneError, csv.Error) as error:
+        raise SceneError(f"{path}: {error}") from error
+    if not rows or rows[0] != columns:
+        raise SceneError(f"{path}: {file} does not begin with the columns {','.join(columns)}")
+    return rows[1:]

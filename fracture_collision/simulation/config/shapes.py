@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.geometry import concave_shapes, generators, sampled_bodies, stored_meshes
+from fracture_collision.geometry import generators, sampled_bodies, stored_meshes
 from fracture_collision.geometry.generators import TetGeometry
-from fracture_collision.geometry.piggy_bank import piggy_bank
 from fracture_collision.geometry.vase import vase
 from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.config.scene_fields import Fields, SceneError, quoted
@@ -26,12 +25,12 @@ MESHES: dict[str, Callable[..., TetGeometry]] = {
     "brick": generators.brick,
     "plate": generators.plate,
     "bowl": generators.bowl,
-    "torus": concave_shapes.torus,
-    "l_block": concave_shapes.l_block,
+    "torus": generators.torus,
+    "l_block": generators.l_block,
     "sampled_ball": sampled_bodies.sampled_ball,
     "sampled_shell": sampled_bodies.sampled_shell,
     "bunny": stored_meshes.bunny,
-    "piggy_bank": piggy_bank,
+    "piggy_bank": generators.piggy_bank,
     "stored_mesh": stored_meshes.stored_mesh,
     "vase": vase,
 }

@@ -16,11 +16,11 @@ import numpy as np
 from fracture_collision.fracture.pattern import PatternSettings
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.near_names import did_you_mean
+from fracture_collision.records import BOX, SPHERE, CollisionBody, SolidPrimitive, documented
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
 from fracture_collision.simulation.actors.hand import Hand, parse_hand
-from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, numbers, quoted
-from fracture_collision.simulation.config.scene_files import read_yaml
+from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, quoted, read_yaml
 from fracture_collision.simulation.config.shapes import Shape, parse_shape
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
@@ -30,28 +30,40 @@ EARTH = (0.0, 0.0, -9.81)  # [m/s2] gravity, unless a scene has its own
 # What longer descriptions of fields say.
 VARIANTS = "scenes derived from this one, by name: fields that replace those above, bodies by their names"
 SOLVER = "settings of the contact solver; equations in simulation/solver/contact_solver.py"
-RESTITUTION = "0: no bounce, 1: no loss; a pair has the larger one"
-ROLLING_ARM = "[m] rolling and spinning resistance, torque per normal force; a pair has the larger one"
-STRENGTH = "[N s] sum of the normal impulses that a fragment bears in a step"
-PATTERN = "of the cracks: Voronoi cells around the impact"
 
 
+@documented
 class Fracture(NamedTuple):
-    """When and how a material breaks."""
+    """When and how a material breaks.
 
-    strength: float  # [N s] sum of the normal impulses of one step that a fragment bears
-    minimum_mass: float  # [kg] lighter fragments do not break
+    Fields:
+      strength: [N s] sum of the normal impulses that a fragment bears in a step
+      minimum_mass: [kg] lighter fragments do not break
+      pattern: of the cracks: Voronoi cells around the impact
+    """
+
+    strength: float
+    minimum_mass: float
     pattern: PatternSettings
 
 
+@documented
 class Material(NamedTuple):
-    """What a body consists of."""
+    """What a body consists of.
 
-    density: float  # [kg/m3]
-    friction: float  # Coulomb coefficient
-    restitution: float  # 0..1
-    rolling_arm: float  # [m] rolling and spinning resistance: torque per normal force
-    fracture: Fracture | None  # None: does not break
+    Fields:
+      density: [kg/m3]
+      friction: Coulomb coefficient; a pair has the geometric mean
+      restitution: 0: no bounce, 1: no loss; a pair has the larger one
+      rolling_arm: [m] rolling and spinning resistance, torque per normal force; a pair has the larger one
+      fracture: when and how it breaks; without it, it does not
+    """
+
+    density: float
+    friction: float
+    restitution: float = 0.0
+    rolling_arm: float = 0.0
+    fracture: Fracture | None = None
 
 
 class SceneBody(NamedTuple):
@@ -169,7 +181,7 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         gravity=root.vector("gravity", "[m/s2]", 3, EARTH),
         time_step=root.number("time_step", "[s] of the simulation", above=0.0),
         duration=root.number("duration", "[s] of the run", above=0.0),
-        solver=numbers(Fields(root.mapping("solver", SOLVER, {}), "solver"), SolverSettings()),
+        solver=root.settings("solver", SOLVER, SolverSettings),
         bodies=bodies,
         hand=hand,
         arm=arm,
@@ -216,23 +228,14 @@ def _merged(content: Any, change: Any, path: str) -> Any:
 
 
 def _material(fields: Fields) -> Material:
-    material = Material(
-        density=fields.number("density", "[kg/m3]", above=0.0),
-        friction=fields.number("friction", "Coulomb coefficient; a pair has the geometric mean", minimum=0.0),
-        restitution=fields.number("restitution", RESTITUTION, 0.0, minimum=0.0, maximum=1.0),
-        rolling_arm=fields.number("rolling_arm", ROLLING_ARM, 0.0, minimum=0.0),
-        fracture=None,
-    )
-    breaks = fields.take("fracture", "when and how it breaks; without it, it does not", None, "fields")
+    material = Material(**fields.numbers(Material, above=("density",), shares=("restitution",)))
+    breaks = fields.take("fracture", Material.fracture.__doc__ or "", None, "fields")
     if breaks is not None:
         part = Fields(breaks, fields.name("fracture"))
-        fracture = Fracture(
-            strength=part.number("strength", STRENGTH, above=0.0),
-            minimum_mass=part.number("minimum_mass", "[kg] lighter fragments do not break", minimum=0.0),
-            pattern=numbers(Fields(part.mapping("pattern", PATTERN, {}), part.name("pattern")), PatternSettings()),
-        )
+        values = part.numbers(Fracture, above=("strength",))
+        pattern = part.settings("pattern", Fracture.pattern.__doc__ or "", PatternSettings)
         part.finish()
-        material = material._replace(fracture=fracture)
+        material = material._replace(fracture=Fracture(**values, pattern=pattern))
     fields.finish()
     return material
 
@@ -283,3 +286,27 @@ def _body(
         raise SceneError(f"{fields.name('static')}: a static body has no start time and no velocity")
     fields.finish()
     return body
+
+
+def collision_body(body_id: int, body: SceneBody) -> CollisionBody:
+    """`body` as CollisionBody; its one fragment has the same number as the body."""
+    shape, material = body.shape, body.material
+    record = CollisionBody(
+        body_id=body_id,
+        fragment_id=body_id,
+        name=body.name,
+        is_static=body.is_static,
+        density=material.density,
+        friction=material.friction,
+        restitution=material.restitution,
+    )
+    if shape.kind == "plane":
+        return record._replace(plane=np.array(shape.plane))
+    if shape.kind == "box":
+        return record._replace(primitive=SolidPrimitive(BOX, shape.size))
+    if shape.kind == "sphere":
+        return record._replace(primitive=SolidPrimitive(SPHERE, (shape.radius,)))
+    assert shape.mesh is not None  # as in every shape of another kind
+    return record._replace(
+        vertices=shape.mesh.vertices.ravel(), tetrahedra=shape.mesh.tetrahedra.astype(np.uint32).ravel()
+    )

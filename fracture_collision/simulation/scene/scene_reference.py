@@ -1,13 +1,15 @@
-"""The fields of scene files as a document, from the parser itself: docs/scenes.md.
+"""The tables of docs/scenes.md: the fields of scene files, from the parser itself.
 
-Usage: python -m fracture_collision.simulation.scene.scene_reference > docs/scenes.md
+Usage: python -m fracture_collision.simulation.scene.scene_reference docs/scenes.md
 """
 
 from __future__ import annotations
 
 import re
+import sys
 from contextlib import suppress
 from inspect import signature
+from pathlib import Path
 from typing import Any
 
 from fracture_collision.simulation.actors.arm import JOINTS
@@ -38,33 +40,7 @@ TITLES = {
     "hand": "hand",
     "arm": "arm",
 }
-HEAD = """# Scene files
-
-A scene is a YAML file: bodies, their places and materials, and what is thrown at them. `fracture-collision scene FILE`
-runs it, `fracture-collision play --scene FILE` plays it, and `fracture-collision scenes` lists those of the package, in
-`config/scenes/`. An unknown field, a missing one or one out of range is an error that names it.
-
-Units are metres, seconds, kilograms and degrees; the world's z axis points up. Positions are those of body frames.
-YAML aliases (`&plate`, `<<: *plate`) serve for bodies that are alike. Of the package's scenes,
-[plates.yaml](../config/scenes/plates.yaml) gives reasons for its values, [bunnies.yaml](../config/scenes/bunnies.yaml)
-has a hand, [vase.yaml](../config/scenes/vase.yaml) an arm, and
-[reference_sphere.yaml](../config/scenes/reference_sphere.yaml) has variants: `NAME:VARIANT` is the scene with the
-changes that `variants` lists.
-
-The smallest scene:
-
-```yaml
-time_step: 0.005
-duration: 1.0
-materials:
-  stone: {density: 2500.0, friction: 0.5, fracture: {strength: 0.5, minimum_mass: 0.01}}
-bodies:
-  - {name: ground, material: stone, static: true, shape: {plane: {coefficients: [0.0, 0.0, 1.0, 0.0]}}}
-  - {name: ball, material: stone, shape: {ball: {radius: 0.1, edge_length: 0.02}}, position: [0.0, 0.0, 1.0]}
-```
-
-The tables are made from the parser: `python -m fracture_collision.simulation.scene.scene_reference`.
-"""
+TABLES = "## The scene\n"  # where the tables of docs/scenes.md begin
 
 
 def scene_entries() -> list[Entry]:
@@ -90,9 +66,9 @@ def shape_entries(kind: str) -> list[Entry]:
     return [entry._replace(path=entry.path[len(prefix) :]) for entry in found if entry.path.startswith(prefix)]
 
 
-def reference() -> str:
-    """The document."""
-    parts = [HEAD]
+def reference(document: str) -> str:
+    """The document with the present tables."""
+    parts = [document.split(TABLES)[0].rstrip("\n") + "\n"]
     entries = scene_entries()
     for prefix, title in TITLES.items():
         own = [e for e in entries if _parent(e.path) == prefix]
@@ -137,4 +113,5 @@ def _sentence(text: str) -> str:
 
 
 if __name__ == "__main__":
-    print(reference(), end="")
+    file = Path(sys.argv[1])
+    file.write_text(reference(file.read_text(encoding="utf-8")), encoding="utf-8")

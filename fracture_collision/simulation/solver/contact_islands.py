@@ -18,7 +18,22 @@ from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_face import Iterate
 from fracture_collision.simulation.solver.contact_rows import RECORD, TANGENT1, TANGENT2, Rows, Surfaces, fill_record
 from fracture_collision.simulation.solver.contact_step import Gaps, drift_velocities, find_velocities
-from fracture_collision.simulation.solver.small_matrices import invert_symmetric
+
+
+@uncounted
+def invert_symmetric(matrix, out):
+    """The inverse of a symmetric (3, 3) matrix, by its cofactors, into `out` (3, 3)."""
+    a, b, c = matrix[0, 0], matrix[0, 1], matrix[0, 2]
+    d, e, f = matrix[1, 1], matrix[1, 2], matrix[2, 2]
+    aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
+    scale = 1.0 / (a * aa + b * bb + c * cc)
+    out[0, 0] = scale * aa
+    out[0, 1] = out[1, 0] = scale * bb
+    out[0, 2] = out[2, 0] = scale * cc
+    out[1, 1] = scale * (a * f - c * c)
+    out[1, 2] = out[2, 1] = scale * (b * c - a * e)
+    out[2, 2] = scale * (a * d - b * b)
+
 
 _grouped = cached_njit(grouping.grouped)
 _root_of = cached_njit(grouping.root_of)

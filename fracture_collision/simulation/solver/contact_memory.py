@@ -6,6 +6,11 @@ back, and never come to rest. A contact therefore stays in the pair's manifold, 
 while the service lists another that pushes the same way, and until its witness points, each fixed to its body, separate
 or slip too far. A sample that slips over an edge is nearest to another face from then on, while its remembered contact
 keeps the normal of the first. If no listed contact of the pair pushed that way, it would hold a shard beside the edge.
+
+Bodies resting at zero gap would overlap by whatever the solver leaves uncorrected. A sample that little inside a face
+and just below an edge is as near to the side that it should slide down as to the top, which would hold it: a shard
+would hang there by an invisible depth. So bodies rest a little apart (`rest_gaps_of`), as with the rest offset of
+PhysX. Fragments of one body stay in contact, as they broke, until they have moved relative to each other.
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.kernel_sources import cached_njit
+from fracture_collision.portable_math import dots
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.rotations import rotation_matrices
@@ -182,3 +188,20 @@ def _out_of_frame(rotation, position, point, out):
     for i in range(3):
         turned = rotation[i, 0] * point[0] + rotation[i, 1] * point[1] + rotation[i, 2] * point[2]
         out[i] = turned + position[i]
+
+
+# Two fragments are in place at a contact that has moved by less than this many rest gaps since their body was whole.
+IN_PLACE = 2.5
+
+
+def rest_gaps_of(memory: ContactMemory, one_body: np.ndarray, rest_gap: np.ndarray) -> np.ndarray:
+    """(N,) [m] rest gap of each contact in `memory`: its pair's `rest_gap` (p,), or 0 between fragments in place.
+
+    `one_body` (p,) bool: pairs of fragments of one body; their body frames coincided when they broke.
+    """
+    moved = memory.points_a - memory.points_b
+    counts: np.ndarray = np.diff(memory.pair_begin)
+    gaps = np.repeat(rest_gap, counts)
+    reach = IN_PLACE * gaps
+    in_place = dots(moved, moved) < reach * reach
+    return np.where(np.repeat(one_body, counts) & in_place, 0.0, gaps)

@@ -21,7 +21,7 @@ Symbols, for contact c between bodies a and b
   J_d         row of direction d: J_d u = d . (v_b + w_b x r_b - v_a - w_a x r_a)
   M           masses and inertias; W = M^-1
   lambda      impulse along n [N s], >= 0;  beta the two friction impulses
-  g           gap beyond the rest gap [m] (`rest_gaps`); h the time step [s]; mu Coulomb's coefficient; e restitution
+  g           gap beyond the rest gap [m] (`rest_gaps_of`); h the time step [s]; mu Coulomb's coefficient; e restitution
 
   (1) u = u* + W sum_c (J_n^T lambda + J_t^T beta)                               [A, 2.11]
   (2) 0 <= lambda  _|_  J_n u + max(g, 0) / h >= 0      an open gap may close within the step, no further
@@ -33,6 +33,11 @@ Symbols, for contact c between bodies a and b
       elsewhere >= d / h
   R           of a pair, half the longest side of the box about the smaller of its two bodies; fragments keep the R of
               the body that they came from; planes are infinite [m]
+
+To this solver bodies are infinitely strong: a ball would bounce off a plate that breaks in that instant. A real plate
+transmits no more than its strength, so where the normal impulses on a fragment sum up to more than that, all its
+contacts are capped in proportion and the step is solved again (`solve_with_strengths`): the ball loses the capped
+impulse, keeps the rest of its momentum and meets the pieces in the next step.
 """
 
 from __future__ import annotations
@@ -245,3 +250,49 @@ def kinetic_energies(masses: np.ndarray, inertias: np.ndarray, velocities: np.nd
     """(n,) [J] of each of n bodies with velocities (n, 6)."""
     v, w = velocities[:, :3], velocities[:, 3:]
     return 0.5 * (masses * dots(v, v) + dots(w, images(inertias, w)))
+
+
+def solve_with_strengths(
+    bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, warm_start: WarmStart,
+    settings: SolverSettings, strengths: np.ndarray,
+) -> tuple[Solution, np.ndarray, np.ndarray]:  # fmt: skip
+    """Solution, the rows of the bodies that break, and limits (N,) [N s] of the impulses of contacts, inf: none.
+
+    strengths (n,) [N s] of the bodies.
+    """
+    solution = solve_contacts(bodies, contacts, pairs, warm_start, settings)
+    count, limits = len(bodies.masses), np.full(len(contacts.gaps), np.inf)
+    loads = sums_of_bodies(solution.normal_impulses, contacts, pairs, count)
+    overloaded = np.flatnonzero(loads > strengths)
+    if len(overloaded):
+        share = np.ones(count + 1)
+        share[overloaded] = strengths[overloaded] / loads[overloaded]
+        counts: np.ndarray = np.diff(contacts.pair_begin)
+        share = np.repeat(np.minimum(share[pairs.body_a], share[pairs.body_b]), counts)
+        limits = np.where(share < 1.0, share * solution.normal_impulses, np.inf)
+        breaks = loads > strengths
+        capped = solve_contacts(
+            bodies, contacts, pairs, solution.warm_start, settings, Again(breaks, limits, solution)
+        )
+        # No body enters a fragment before it has broken: in this step poses move as if it held. And the impact
+        # point follows from the uncapped impulses that broke it.
+        solution = capped._replace(
+            drift=solution.drift + solution.velocities - capped.velocities, normal_impulses=solution.normal_impulses
+        )
+    return solution, overloaded, limits
+
+
+def hardest_hit(
+    row: int, contacts: ContactConstraintArray, pairs: BodyPairs, solution: Solution
+) -> tuple[np.ndarray, float]:
+    """Impact point (world, [m]) and impulse [N s] of the neighbour that hit a body hardest."""
+    begin = contacts.pair_begin.astype(np.int64)
+    impulses = solution.normal_impulses
+    best, best_load = -1, -1.0
+    for pair in np.flatnonzero((pairs.body_a == row) | (pairs.body_b == row)).tolist():
+        load = float(impulses[begin[pair] : begin[pair + 1]].sum())
+        if load > best_load:
+            best, best_load = pair, load
+    those = slice(begin[best], begin[best + 1])
+    points = (contacts.points_a if pairs.body_a[best] == row else contacts.points_b).reshape(-1, 3)
+    return (impulses[those, None] * points[those]).sum(axis=0) / best_load, best_load

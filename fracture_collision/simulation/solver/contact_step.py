@@ -1,19 +1,257 @@
 """One step of one island: new velocities with contacts, friction and restitution, and drift correction.
 
+It iterates projected Gauss-Seidel over the contact rows of an island, warm-started and accelerated.
+
 Symbols and equation numbers are those of `contact_solver`.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.simulation.compiled import uncounted
-from fracture_collision.simulation.solver.contact_face import Iterate
-from fracture_collision.simulation.solver.contact_rows import Surfaces, normal_velocities
-from fracture_collision.simulation.solver.contact_sweeps import apply_warm_start, sweep
+from fracture_collision.simulation.solver.contact_face import (
+    Face,
+    Iterate,
+    Live,
+    Way,
+    add_up,
+    difference,
+    dot,
+    doubled_energy,
+    keep_to_face,
+    leave_face,
+    list_live,
+    lowest,
+    take_out,
+    take_step,
+)
+from fracture_collision.simulation.solver.contact_rows import (
+    COUPLING1,
+    COUPLING2,
+    NORMAL_MASS,
+    TANGENT_MASS,
+    Surfaces,
+    load,
+    normal_velocities,
+    normal_velocity,
+    pushed,
+    pushed_apart,
+    store,
+    turn,
+    velocities,
+)
+
+# How often an iteration may change its face.
+FACES = 3
+
+
+@cached_njit
+def apply_warm_start(rows, targets, iterate):
+    """Add the carried impulses of an Iterate to its u, scaled down where they overshoot.
+
+    With lambda the vector of carried impulses, s lambda minimises the quadratic that Gauss-Seidel descends,
+    s^2/2 lambda A lambda + s lambda (J u* - target), for s = -lambda (J u* - target) / lambda A lambda. With s clamped
+    to [0, 1], a warm start can only remove energy.
+    """
+    impulses, rolling, u = iterate
+    carried = Way(impulses, rolling, np.zeros_like(u), np.zeros_like(u))
+    slope = 0.0
+    for pair in range(rows.body_a.size):
+        a, b = rows.body_a[pair], rows.body_b[pair]
+        mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
+        turn(rows, pair, carried.u, rolling[pair, 0], rolling[pair, 1], rolling[pair, 2])
+        change_a, change_b = load(carried.u, a), load(carried.u, b)
+        for c in range(rows.begin[pair], rows.begin[pair + 1]):
+            slope -= impulses[c, 0] * targets[c]
+            change_a, change_b = pushed(
+                rows.contacts[c], change_a, change_b, mass_a, mass_b, impulses[c, 0], impulses[c, 1], impulses[c, 2]
+            )
+        store(carried.u, a, change_a)
+        store(carried.u, b, change_b)
+    curvature = doubled_energy(rows, carried)
+    slope += dot(carried.momenta, u)
+    share = 0.0
+    if curvature > 0.0:
+        share = min(max(-slope / curvature, 0.0), 1.0)
+    impulses *= share
+    rolling *= share
+    u += share * carried.u
+
+
+@cached_njit
+def sweep(rows, surfaces, targets, free, iterate, iterations, accuracy):
+    """Projected Gauss-Seidel on (2), (3), (5), accelerated. Changes the Iterate.
+
+    One iteration visits all contacts forward, then backward. With x the impulses, t the targets and A = J W J^T this
+    descends
+
+        f(x) = x A x / 2 + x . (J u* - t) = (u M u - u* M u*) / 2 - x . t,      u = u* + W J^T x.
+
+    It then moves to the minimum of f over the plane of this sweep's step and the last iteration's total change, on the
+    face of the contacts that press and stick: conjugate gradients, preconditioned by symmetric Gauss-Seidel [D].
+    Products of A are sums over bodies, x A y = u_x M u_y. Contacts that would pull or slip leave the face and the plane
+    is searched again; a step that, projected onto the cones, does not lower f is rejected.
+
+    It ends when no body's velocity changes by more than `accuracy` times the largest change that contacts have made to
+    any of them, u - u* (`free`).
+    """
+    impulses, rolling, u = iterate
+    step, path, before, start = _no_way(iterate), _no_way(iterate), _no_way(iterate), _no_way(iterate)
+    count = len(impulses)
+    face = Face(np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.zeros(len(rolling), np.bool_))
+    live = Live(np.zeros(len(rolling) + 1, np.int64), np.empty(count, np.int64), np.zeros(count, np.bool_))
+    for c in range(count):
+        if impulses[c, 0] != 0.0 or impulses[c, 1] != 0.0 or impulses[c, 2] != 0.0:
+            live.has_lived[c] = True
+    list_live(rows, live)
+    _keep(start, iterate, live)
+    scale = doubled_energy(rows, start)
+    has_gone = False
+    for iteration in range(iterations):
+        is_last = iteration == iterations - 1
+        if is_last and has_gone:
+            # Long accelerated steps leave more than rounding in u: the last sweep starts from u by the impulses.
+            add_up(rows, live, start, iterate)
+        _keep(before, iterate, live)
+        _sweep_once(rows, surfaces, targets, iterate, live, face, False)
+        _sweep_once(rows, surfaces, targets, iterate, live, face, True)
+        list_live(rows, live)
+        if is_last:
+            break
+        if _squared_change(rows, u, before.u) <= accuracy * accuracy * _squared_change(rows, u, free):
+            if has_gone:
+                add_up(rows, live, start, iterate)
+            break
+        difference(iterate, before, live, step)
+        along, part = (0.0, 0.0), 0.0
+        keep_to_face(rows, live, face, step)
+        keep_to_face(rows, live, face, path)
+        for search in range(FACES):
+            if search > 0:
+                take_out(rows, live, face, step)
+                take_out(rows, live, face, path)
+            along = lowest(rows, live, targets, u, step, path, scale)
+            left, part = leave_face(rows, live, surfaces, impulses, step, path, along, face)
+            if not left:
+                break
+        if take_step(rows, live, surfaces, targets, iterate, step, path, (part * along[0], part * along[1])):
+            has_gone = True
+        difference(iterate, before, live, path)
+
+
+@uncounted
+def _squared_change(rows, u, before):
+    """The largest change of any body, [m2/s2]: twice its energy over its mass."""
+    largest = 0.0
+    for i in range(u.shape[0]):
+        if rows.masses[i] > 0.0:
+            inertia = rows.inertias[i]
+            x, y, z = u[i, 3] - before[i, 3], u[i, 4] - before[i, 4], u[i, 5] - before[i, 5]
+            spin = (
+                x * (inertia[0, 0] * x + inertia[0, 1] * y + inertia[0, 2] * z)
+                + y * (inertia[1, 0] * x + inertia[1, 1] * y + inertia[1, 2] * z)
+                + z * (inertia[2, 0] * x + inertia[2, 1] * y + inertia[2, 2] * z)
+            )
+            x, y, z = u[i, 0] - before[i, 0], u[i, 1] - before[i, 1], u[i, 2] - before[i, 2]
+            largest = max(largest, x * x + y * y + z * z + spin / rows.masses[i])
+    return largest
+
+
+@uncounted
+def _keep(way, iterate, live):
+    impulses, rolling, u = iterate
+    for i in range(u.shape[0]):
+        for k in range(6):
+            way.u[i, k] = u[i, k]
+    for c in live.contacts[: live.begin[-1]]:
+        for k in range(3):
+            way.impulses[c, k] = impulses[c, k]
+    for pair in range(rolling.shape[0]):
+        for k in range(3):
+            way.rolling[pair, k] = rolling[pair, k]
+
+
+@cached_njit
+def _no_way(iterate):
+    impulses, rolling, u = iterate
+    return Way(np.zeros_like(impulses), np.zeros_like(rolling), np.zeros_like(u), np.zeros_like(u))
+
+
+@uncounted
+def _sweep_once(rows, surfaces, targets, iterate, live, face, backward):
+    impulses, rolling, u = iterate
+    pair_count = rows.body_a.size
+    for visit in range(pair_count):
+        pair = pair_count - 1 - visit if backward else visit
+        a, b = rows.body_a[pair], rows.body_b[pair]
+        first, end = rows.begin[pair], rows.begin[pair + 1]
+        mass_a, mass_b = rows.inverse_masses[a], rows.inverse_masses[b]
+        friction = surfaces.friction[pair]
+        ua, ub = load(u, a), load(u, b)
+        total = 0.0
+        for inner in range(end - first):
+            c = end - 1 - inner if backward else first + inner
+            r, carried = rows.contacts[c], impulses[c, 0]
+            if friction > 0.0 and (carried > 0.0 or impulses[c, 1] != 0.0 or impulses[c, 2] != 0.0):
+                # Friction first, with the last sweep's lambda: non-penetration matters more, so it is solved last.
+                s, s1, s2 = velocities(r, ua, ub)
+                # One mass for both tangents: with the block's inverse, sliding friction would oppose not the slip but
+                # its image under that inverse, and deflect a body that slides straight.
+                wanted1 = impulses[c, 1] - r[TANGENT_MASS] * s1
+                wanted2 = impulses[c, 2] - r[TANGENT_MASS] * s2
+                limit, square = friction * carried, wanted1 * wanted1 + wanted2 * wanted2
+                face.sticks[c] = square < limit * limit
+                if square > limit * limit:
+                    scale = limit / math.sqrt(square)
+                    wanted1 *= scale
+                    wanted2 *= scale
+                change1, change2 = wanted1 - impulses[c, 1], wanted2 - impulses[c, 2]
+                s += r[COUPLING1] * change1 + r[COUPLING2] * change2
+                wanted = min(max(carried - r[NORMAL_MASS] * (s - targets[c]), 0.0), surfaces.impulse_limits[c])
+                ua, ub = pushed(r, ua, ub, mass_a, mass_b, wanted - carried, change1, change2)
+                impulses[c, 1] = wanted1
+                impulses[c, 2] = wanted2
+            else:
+                s = normal_velocity(r, ua, ub)
+                wanted = min(max(carried - r[NORMAL_MASS] * (s - targets[c]), 0.0), surfaces.impulse_limits[c])
+                if wanted != carried:
+                    live.has_lived[c] = True
+                    ua, ub = pushed_apart(r, ua, ub, mass_a, mass_b, wanted - carried)
+                face.sticks[c] = False
+            impulses[c, 0] = wanted
+            face.presses[c] = 0.0 < wanted < surfaces.impulse_limits[c]
+            total += wanted
+        store(u, a, ua)
+        store(u, b, ub)
+        face.holds[pair] = False
+        if surfaces.rolling_arm[pair] > 0.0 and (total > 0.0 or _is_any(rolling[pair])):
+            face.holds[pair] = _roll(rows, pair, u, a, b, rolling, surfaces.rolling_arm[pair] * total)
+
+
+@uncounted
+def _roll(rows, pair, u, a, b, rolling, limit):
+    x, y, z = u[b, 3] - u[a, 3], u[b, 4] - u[a, 4], u[b, 5] - u[a, 5]
+    masses = rows.rolling_masses[pair]
+    wanted_x = rolling[pair, 0] - (masses[0, 0] * x + masses[0, 1] * y + masses[0, 2] * z)
+    wanted_y = rolling[pair, 1] - (masses[1, 0] * x + masses[1, 1] * y + masses[1, 2] * z)
+    wanted_z = rolling[pair, 2] - (masses[2, 0] * x + masses[2, 1] * y + masses[2, 2] * z)
+    square = wanted_x * wanted_x + wanted_y * wanted_y + wanted_z * wanted_z
+    scale = limit / math.sqrt(square) if square > limit * limit else 1.0
+    wanted_x, wanted_y, wanted_z = scale * wanted_x, scale * wanted_y, scale * wanted_z
+    turn(rows, pair, u, wanted_x - rolling[pair, 0], wanted_y - rolling[pair, 1], wanted_z - rolling[pair, 2])
+    rolling[pair, 0], rolling[pair, 1], rolling[pair, 2] = wanted_x, wanted_y, wanted_z
+    return square < limit * limit
+
+
+@uncounted
+def _is_any(x):
+    return x[0] != 0.0 or x[1] != 0.0 or x[2] != 0.0
+
 
 # Share of the energy that gravity gives a body at rest in one step: a stack at rest gains and loses it by rounding.
 ROUNDING = 1.0e-7

@@ -25,11 +25,9 @@ from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.compiled import uncounted
-from fracture_collision.simulation.engine.engine import BodyStates
+from fracture_collision.simulation.engine import BodyStates
 from fracture_collision.simulation.solver.contact_solver import BodyPairs, SolverSettings
-from fracture_collision.simulation.solver.inertia_boxes import boxes_of
-from fracture_collision.simulation.solver.side_by_side import shares_side_by_side
-from fracture_collision.simulation.solver.straight_motion import Motion, length, turned
+from fracture_collision.simulation.solver.side_by_side import Motion, boxes_of, length, shares_side_by_side, turned
 
 # [rad] A body that turns farther in a step moves its contact points along arcs.
 FAR_TURN = 0.1

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.bag.cdr import deserialize_record
-from fracture_collision.bag.exchanges import Question, Run, read_runs, topics_of
+from fracture_collision.bag.exchanges import Question, Run, deserialize_record, read_runs, topics_of
 from fracture_collision.bag.reader import BagError, read_messages
 from fracture_collision.records import REMOVE, CollisionBody, ContactConstraintArray, FragmentMesh, FragmentStates
 

@@ -1,6 +1,11 @@
-"""A recorded run as triangles, normals and colours at one moment."""
+"""A recorded run as triangles, normals and colours at one moment, and the camera that shows it.
+
+Moments and camera are chosen from what breaks and moves in the run and where the thrown bodies come from.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -10,7 +15,7 @@ from fracture_collision.records import CollisionBody
 from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates
 from fracture_collision.viewer.pictures.body_mesh import BodyMesh, mesh_of_body, mesh_of_fragment
 from fracture_collision.viewer.pictures.palette import Paint, Palette
-from fracture_collision.viewer.pictures.ray_picture import TriangleScene
+from fracture_collision.viewer.pictures.ray_picture import Camera, TriangleScene
 
 
 class RunScene:
@@ -96,3 +101,90 @@ class RunScene:
         poses = list(zip(states.fragment_ids.tolist(), states.positions, rotations, strict=True))
         poses += [(f, np.zeros(3), np.eye(3)) for f in sorted(resting)]
         return [pose for pose in poses if not np.any(self._body(pose[0]).plane)]
+
+
+OPENING = math.radians(32.0)
+FRACTURE_WEIGHT = 0.75  # share of the choice of moments; the rest is spread evenly over the run
+AFTERMATH = 0.3  # [s] time after a fracture that is worth showing
+
+
+def chosen_moments(run: RecordedRun, count: int) -> list[RecordedStates]:
+    """`count` states (fewer if the run has fewer), first and last among them, dense where fractures happen."""
+    time = np.array([states.time for states in run.states])
+    sequence = np.array([states.fracture_sequence for states in run.states])
+    share = np.arange(len(time)) / max(1, len(time) - 1)
+    broken_at = time[1:][np.diff(sequence) > 0]
+    if len(broken_at):
+        seen = np.clip((time[:, None] - broken_at) / AFTERMATH, 0.0, 1.0).mean(axis=1)
+        share = (1.0 - FRACTURE_WEIGHT) * share + FRACTURE_WEIGHT * seen / max(seen[-1], 1e-9)
+    wanted = np.linspace(0.0, 1.0, count) if count > 1 else np.ones(1)
+    nearest = np.abs(share[None] - wanted[:, None]).argmin(axis=1)
+    nearest[-1] = len(time) - 1
+    return [run.states[i] for i in sorted(set(nearest.tolist()))]
+
+
+def sun_of(camera: Camera) -> np.ndarray:
+    """(3,) towards the sun, which stands high behind the viewer's left shoulder."""
+    ahead = camera.target - camera.position
+    sun = np.array([-0.55 * ahead[0] - 0.55 * ahead[1], 0.55 * ahead[0] - 0.55 * ahead[1], 0.0])
+    return sun / np.linalg.norm(sun) + (0.0, 0.0, 1.25)
+
+
+def camera_of(scene: RunScene, moments: list[RecordedStates], aspect: float) -> Camera:
+    """From the side of the thrown bodies, turned a little and raised, far enough away to see nearly all that moves."""
+    centres = [scene.centres(states) for states in moments]
+    if not any(map(len, centres)):
+        centres = [scene.centres(states, movable_only=False) for states in moments]
+    radius = scene.radius(moments[0])
+    low, high = _spread(centres, 0.06) - radius, _spread(centres, 0.97) + radius
+    target = 0.5 * (low + high)
+    front = _front(scene, moments)
+    turn, rise = math.radians(24.0), math.radians(17.0)
+    flat = np.array([math.cos(turn) * front[0] - math.sin(turn) * front[1],
+                     math.sin(turn) * front[0] + math.cos(turn) * front[1]])  # fmt: skip
+    back = np.array([*(math.cos(rise) * flat), math.sin(rise)])
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    up = np.cross(back, right)
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    offset = corners - target
+    margin = 1.05
+    slope = math.tan(0.5 * OPENING)
+    reach = np.maximum(np.abs(offset @ up) / slope, np.abs(offset @ right) / (slope * aspect))
+    distance = max(float(np.max(margin * reach + offset @ back)), 0.5)
+    # Leaves room for bodies to fall: the action is above the middle of the frame.
+    target = target - 0.2 * slope * distance * up
+    return Camera(target + distance * back, target, OPENING)
+
+
+def _spread(centres: list[np.ndarray], share: float) -> np.ndarray:
+    """(3,) the coordinates below which this share lies.
+
+    Each moment has the same weight: one body weighs as much as all its shards do later.
+    """
+    points = np.concatenate(centres)
+    weights = np.concatenate([np.full(len(group), 1.0 / max(len(group), 1)) for group in centres])
+    result = np.empty(3)
+    for axis in range(3):
+        order = np.argsort(points[:, axis], kind="stable")
+        below = np.cumsum(weights[order]) - 0.5 * weights[order]
+        result[axis] = np.interp(share * weights.sum(), below, points[order, axis])
+    return result
+
+
+def _front(scene: RunScene, moments: list[RecordedStates]) -> np.ndarray:
+    """Horizontal unit vector from breakable bodies to thrown ones, as first seen; else across the long side."""
+    first_seen: dict[int, np.ndarray] = {}
+    for states in scene.run.states:
+        for fragment, position in zip(states.fragment_ids.tolist(), states.positions, strict=True):
+            body = scene.run.bodies[scene.run.body_of[fragment]]
+            if not body.is_static and fragment == body.fragment_id:
+                first_seen.setdefault(fragment, position)
+    breakable = [p for f, p in first_seen.items() if scene.is_breakable(f)]
+    thrown = [p for f, p in first_seen.items() if not scene.is_breakable(f)]
+    if breakable and thrown:
+        across = (np.mean(thrown, axis=0) - np.mean(breakable, axis=0))[:2]
+        if np.linalg.norm(across) > 1e-3:
+            return across / np.linalg.norm(across)
+    span = np.ptp(scene.centres(moments[0], movable_only=False), axis=0) if moments else np.ones(3)
+    return np.array([0.0, -1.0]) if span[0] >= span[1] else np.array([1.0, 0.0])

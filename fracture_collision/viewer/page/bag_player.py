@@ -13,8 +13,7 @@ import viser
 from fracture_collision.records import FragmentStates
 from fracture_collision.viewer.film.animated_gltf import animated_glb
 from fracture_collision.viewer.film.recorded_run import RecordedRun
-from fracture_collision.viewer.film.run_camera import camera_of, chosen_moments
-from fracture_collision.viewer.film.run_scene import RunScene
+from fracture_collision.viewer.film.run_scene import RunScene, camera_of, chosen_moments
 from fracture_collision.viewer.page.page import INTERVAL, Page
 from fracture_collision.viewer.page.page_camera import FREE_ASPECT
 from fracture_collision.viewer.page.page_plots import SHOWN, Figures

@@ -19,13 +19,11 @@ import viser
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentMesh, FragmentStates
 from fracture_collision.viewer.page.page_camera import Cameras
 from fracture_collision.viewer.page.page_contacts import ContactLayers
-from fracture_collision.viewer.page.page_controls import Controls
+from fracture_collision.viewer.page.page_controls import Controls, add_help, help_text
 from fracture_collision.viewer.page.page_events import Handlers, ServiceSliders, Start
-from fracture_collision.viewer.page.page_help import add_help, help_text
 from fracture_collision.viewer.page.page_inside import Inside, InsideView
-from fracture_collision.viewer.page.page_plots import Figures, Plots, check_told, plots_of
+from fracture_collision.viewer.page.page_plots import Figures, Plots, Summary, check_told, plots_of
 from fracture_collision.viewer.page.page_scene import DragHandlers, SceneNodes
-from fracture_collision.viewer.page.page_summary import Summary
 from fracture_collision.viewer.page.server.page_document import TITLE, Document
 from fracture_collision.viewer.page.server.page_gate import LOCALHOST, bracketed, started_server, stop_server
 from fracture_collision.viewer.page.server.page_stream import LiveValues, run_script, show_notice
@@ -142,10 +140,6 @@ class Page:
     def add_fragment(self, mesh: FragmentMesh, body_id: int) -> None:
         """It appears as soon as states name it. Until all fragments of the states are known, the previous ones stay."""
         self._order(lambda: self._scene.add_fragment(mesh, body_id))
-
-    def remove_fragment(self, fragment_id: int) -> None:
-        """Permanent. To hide a fragment for a while, leave it out of the states."""
-        self._order(lambda: self._scene.remove(fragment_id))
 
     def look_from(self, camera: Camera, fits: bool = False) -> None:
         """Without this call, the page chooses the camera at the first states of a run. Open pages move there.
