@@ -22,7 +22,7 @@ from matplotlib.image import imread
 from rosbags.highlevel import AnyReader
 from worlds.scene_of_length import scene_of_length
 
-from fracture_collision.bag.reader import read_messages
+from fracture_collision.bag.reader import read_messages, topic_digest
 from fracture_collision.cli.smash import _filled, _own_scene, smash
 from fracture_collision.geometry.generators import TetGeometry, ball
 from fracture_collision.lockstep import Lockstep
@@ -103,7 +103,7 @@ def test_every_step_is_answered_and_reported(smashed: tuple[Path, str]) -> None:
     assert report["living_fragments"] >= 4 and report["triangles"] > 1000
     assert sum(value > 0 for value in report["update_ms"]) >= 1
     assert max(report["contacts"]) > 0 and min(report["collision_ms"]) > 0 and min(report["ros_ms"]) > 0
-    for words in ("collision detection", "contact solver", "wait for subscribers", "triangles"):
+    for words in ("collision detection", "contact solver", "ROS", "triangles"):
         assert words in said
     assert nodes_of(out) == []
 
@@ -138,7 +138,7 @@ def test_pictures_are_not_blank(smashed: tuple[Path, str]) -> None:
         assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
 
 
-def test_two_runs_are_the_same_byte_for_byte(smashed: tuple[Path, str], tmp_path: Path) -> None:
+def test_two_runs_are_the_same_byte_for_byte_but_for_their_ids(smashed: tuple[Path, str], tmp_path: Path) -> None:
     first, _ = smashed
     write_earlier_run(tmp_path / "out")
     done = run("smash", "--scene", SCENE, "--out", tmp_path / "out")
@@ -148,8 +148,8 @@ def test_two_runs_are_the_same_byte_for_byte(smashed: tuple[Path, str], tmp_path
     assert not (tmp_path / "out" / "bag" / "earlier").exists()
     assert json.loads((tmp_path / "out" / "report.json").read_text())["scene"] == SCENE
     for topic in ("/bodies", "/fracture_events", "/fragment_states", "/contact_constraints"):
-        one, other = ([m for m in read_messages(out / "bag", [topic])] for out in (first, tmp_path / "out"))
-        assert len(one) > 0 and one == other
+        assert any(True for _ in read_messages(first / "bag", [topic]))
+        assert topic_digest(first / "bag", topic) == topic_digest(tmp_path / "out" / "bag", topic)
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])

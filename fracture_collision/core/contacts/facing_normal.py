@@ -76,22 +76,6 @@ def turn_contacts(pools, pair, near, sink, count, scratch):
 
 
 @inlined_kernel
-def turn_surface_point(pools, pair, side, outward, near, sink, scratch):
-    """turn_contacts for the one contact in row 0 of a Sink, which is not at a sample.
-
-    side: whose point it is (0: a's); outward (x, y, z): the normal of its own surface, in the other's frame.
-    """
-    a, b, _, _ = pair
-    row, ids = sink.contacts[0], sink.ids[0]
-    f, own = (b, a) if side == 0 else (a, b)
-    if share_a_body(pools, a, b):
-        witness = ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT]
-        turn_to_crack(pools, f, own, near, row, witness, scratch)
-    elif has_faces(pools.fragment.kind[f]):
-        _turn_to_facing(pools, f, own, outward, near, row, scratch)
-
-
-@inlined_kernel
 def _turn_to_facing(pools, f, own, outward, near, row, scratch):
     """Turn a contact of a point of `own` with `f` to the nearest surface of f that faces the point, if that is near.
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-EXACT, AVERAGED = "exact", "averaged"
+AVERAGED = "averaged"
 RESTRUCTURED, PLAIN, REBUILT = "restructured", "plain", "rebuilt"
-ALTERNATING, QUEUE = "alternating", "queue"
+QUEUE = "queue"
 
 
 class TreePool(NamedTuple):

@@ -78,15 +78,6 @@ def hulls_stay_apart(pools, pair, moving, near, toward, scratch):
 
 
 @inlined_kernel
-def may_get_through(boxes, a, b, i, j, motion):
-    """Whether fragments a and b close by more than THIN of the thinner one's thickness within motion.time.
-
-    boxes (F, 6) [m]: of all fragments; i, j: their indices in the Motion.
-    """
-    return closing_speed(motion, i, j, 0.0, motion.time) * motion.time > THIN * thickness(boxes, a, b)
-
-
-@inlined_kernel
 def may_touch_again(pools, pair, moving, moment, sink, epsilon, scratch):
     """Whether two fragments that touch, or are about to, may touch elsewhere before the time is over.
 
