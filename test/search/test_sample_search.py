@@ -115,7 +115,7 @@ def test_the_search_finds_the_contacts_of_the_tree(shape, jitter) -> None:
         # the search turns some contacts to the surface that faces them; the others are the same
         same = (found.normals == right.normals).reshape(-1, 3).all(axis=1)
         assert np.allclose(found.gaps[same], right.gaps[same], rtol=0.0, atol=1e-12)
-        assert same.sum() > 0.05 * len(same) > 0
+        assert same.sum() > 50
 
 
 @pytest.mark.parametrize("shape", SHAPES)

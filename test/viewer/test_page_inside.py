@@ -175,7 +175,7 @@ def test_fragments_cut_by_the_plane_or_in_front_of_it_are_hidden(page: Page) -> 
 
 def test_figures_are_plotted_and_shown_while_requested(page: Page) -> None:
     def figures(time: float, **changes: Any) -> InsideView:
-        return InsideView(figures=InsideFigures(time, 12, 1234, 0.03, 0.25, 0.001, 0.456)._replace(**changes))
+        return InsideView(figures=InsideFigures(time, 12, 1234, 0.03, 0.25, 0.456)._replace(**changes))
 
     inside = show(page, InsideWanted(colliding=True), figures(0.1))
     (counts, _), (errors, _) = inside._plots._plots
@@ -184,7 +184,7 @@ def test_figures_are_plotted_and_shown_while_requested(page: Page) -> None:
     assert [column.tolist() for column in counts.data] == [[0.1], [12.0], [1234.0]]
     show(page, InsideWanted(errors=True), figures(0.3, is_replayed=True))
     assert errors.visible and not counts.visible
-    for said in ("up to **0.030 mm**", "**0.250 mm**", "0.001 mm", "0.46 ms", "by a copy of the service"):
+    for said in ("up to **0.030 mm**", "**0.250 mm**", "0.46 ms", "by a copy of the service"):
         assert said in inside._words.content
     show(page, InsideWanted(errors=True), figures(0.3, unlisted_mm=0.0))
     rows = list(inside._plots._rows)

@@ -92,7 +92,7 @@ def stage(truth: ContactTruth) -> Iterator[Stage]:
 def test_the_mirror_is_idle_without_viewers_and_then_follows_the_run(stage: Stage) -> None:
     stage.tell_step(1)
     stage.tell_step(2)
-    assert stage.mirror._run is None and not stage.mirror._is_new and stage.shown.empty()
+    assert not stage.mirror._copies and not stage.mirror._is_new and stage.shown.empty()
     stage.mirror.want(InsideWanted(level=1, plane=PlaneWanted(2, 0.25)))
     view = stage.next_view()
     world = with_settings(stage.case, TRUE)

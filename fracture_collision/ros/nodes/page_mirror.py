@@ -83,7 +83,7 @@ class Mirror:
         self._exchange: tuple[Received, ContactConstraintArray, Settings] | None = None  # the newest, and its settings
         self._is_new = False
         # used by the thread only
-        self._copies: dict[str, _Copy] = {}  # by method
+        self._copies: dict[str, _Copy] = {}  # the truth and, where it is needed, the service
         self._spheres: tuple[Any, Spheres] | None = None  # and what they were made for
         self._reach: tuple[Any, tuple[float, float]] | None = None  # likewise
         self._thread = threading.Thread(target=self._work, name="mirror", daemon=True)
@@ -170,7 +170,8 @@ class Mirror:
                 self._is_new = False
                 job = self._next_job()
             if job is None:
-                self._run = self._spheres = self._reach = None
+                self._copies.clear()
+                self._spheres = self._reach = None
                 continue
             began = time.monotonic()
             try:
