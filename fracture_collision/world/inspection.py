@@ -27,6 +27,7 @@ EVERY_CONTACT = 1 << 30
 # Of a plane across x, y or z: the axis that its columns go along, and that of its rows.
 PLANE_AXES = ((1, 2), (0, 2), (0, 1))
 NOBODY = -1  # no fragment's id
+ROUNDING = 1e-9  # of depths, as a share
 FINEST = 192  # cells along the longer side of a plane's grid, by default
 
 
@@ -59,7 +60,7 @@ class AnswerErrors(NamedTuple):
 
     listed: int  # contacts
     colliding: int  # all contacts
-    unlisted: float  # [m] deepest penetration that is deeper than all that are listed of its pair
+    unlisted: float  # [m] deepest penetration that is not listed, and deeper than all that are listed of its pair
     promised: float  # [m] depth that the missed depth bounds, or epsilon for a pair without one, allow to be unlisted
 
 
@@ -91,19 +92,21 @@ def errors_of(
     `every`: every_contact for the same states, of a `world` of method glondu2014 with the exact field, with `here`
     present; `epsilon`: the penetration tolerance of the answer, a share of R.
     """
-    depths, listed = _deepest(every), np.zeros(len(every.fragment_a))
+    listed = np.zeros(len(every.fragment_a))
     keys, named = _pair_keys(every), _pair_keys(answer)
     row = np.searchsorted(named, keys).clip(max=max(len(named) - 1, 0))
     # a pair absent from the answer has no contact and nothing deeper than epsilon
     unnamed = named[row] != keys if len(named) else np.ones(len(keys), bool)
     listed[~unnamed] = _deepest(answer)[row[~unnamed]]
+    is_deeper = -every.gaps > (1.0 + ROUNDING) * listed[_pair_of_each(every)]
+    is_unlisted = is_deeper & ~np.isin(every.contact_ids, answer.contact_ids)
     promised = answer.missed_depth_bound.max(initial=0.0)
     radius = world.geometry.pools.fragment.radius[here.rows]
     ends = (radius[np.searchsorted(here.ids, end[unnamed])] for end in (every.fragment_a, every.fragment_b))
     return AnswerErrors(
         listed=len(answer.gaps),
         colliding=len(every.gaps),
-        unlisted=float(depths[depths > listed].max(initial=0.0)),
+        unlisted=float((-every.gaps[is_unlisted]).max(initial=0.0)),
         promised=float(max(promised, (epsilon * np.minimum(*ends)).max(initial=0.0))),
     )
 
@@ -111,9 +114,13 @@ def errors_of(
 def _deepest(contacts: ContactConstraintArray) -> np.ndarray:
     """Depth (p,) [m] of the deepest contact of each pair; 0: none is deep."""
     deepest = np.zeros(len(contacts.fragment_a))
-    of_pair = np.repeat(np.arange(len(deepest)), np.diff(contacts.pair_begin).astype(np.int64))
-    np.maximum.at(deepest, of_pair, -contacts.gaps)
+    np.maximum.at(deepest, _pair_of_each(contacts), -contacts.gaps)
     return deepest
+
+
+def _pair_of_each(contacts: ContactConstraintArray) -> np.ndarray:
+    """(N,) the pair of each contact."""
+    return np.repeat(np.arange(len(contacts.fragment_a)), np.diff(contacts.pair_begin).astype(np.int64))
 
 
 def _pair_keys(contacts: ContactConstraintArray) -> np.ndarray:

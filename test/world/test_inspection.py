@@ -161,18 +161,17 @@ def test_errors_of_an_answer_equal_those_by_brute_force(truth: ContactTruth, set
     errors = errors_of(answer, every, world, world.present(states), settings.penetration_tolerance)
     assert errors.listed == sum(check.contacts for check in checks) > 0
     poses, inside, unlisted, listed = Poses(states), 0, 0.0, pairs_of(answer)
-    for a, b in combinations(truth.fragment_ids, 2):
-        depths = np.concatenate([truth.depths(*pair, poses).depth for pair in ((a, b), (b, a))])
-        inside += np.count_nonzero(depths >= 0.0)
+    for (a, b), check in zip(combinations(sorted(truth.fragment_ids), 2), checks, strict=True):
+        inside += sum(np.count_nonzero(truth.depths(*pair, poses).depth >= 0.0) for pair in ((a, b), (b, a)))
         rows, _ = listed.get((a, b), (slice(0, 0), 0.0))
-        if depths.max() > (-answer.gaps[rows]).max(initial=0.0) + BORDER:
-            unlisted = max(unlisted, depths.max())
+        if check.deepest_unlisted > (-answer.gaps[rows]).max(initial=0.0) + BORDER:
+            unlisted = max(unlisted, check.deepest_unlisted)
     assert errors.colliding == inside > 50
     assert errors.unlisted == pytest.approx(unlisted, abs=BORDER)
     # the bound of a pair that the answer leaves out is epsilon
     bounds = [check.bound for check in checks if check.is_listed or check.deepest_unlisted > 0.0]
     assert errors.unlisted <= errors.promised == pytest.approx(max(bounds), abs=BORDER)
-    if settings.paper.field == "averaged" or settings.max_work == 200:
+    if settings.max_work == 200:
         assert errors.unlisted > 1e-3  # [R]
 
 

@@ -71,7 +71,7 @@ class InsideFigures(NamedTuple):
     time: float  # [s] simulated
     contacts: int  # listed
     colliding: int  # contacts without a limit
-    unlisted_mm: float  # deepest penetration that is deeper than all that are listed of its pair
+    unlisted_mm: float  # deepest penetration that is not listed, and deeper than what is of its pair
     promised_mm: float  # depth that the missed depth bounds allow to be unlisted
     collision_ms: float | None  # time of an answer
     is_replayed: bool = False  # computed by a copy of the service, because the paused scene makes no queries
