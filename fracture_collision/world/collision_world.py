@@ -174,8 +174,8 @@ class CollisionWorld:
     def _query(self, step: Step, boxes: np.ndarray, motion: Motion) -> PairContacts:
         """The contacts of all pairs of a Step whose fragments have these world boxes (n, 6) [m]."""
         settings, geometry = self.settings, self._registry.geometry
-        pools, most = geometry.pools, settings.max_work
-        every, within = share_work(pools, step.rows, step.pairs, boxes, most)
+        pools = geometry.pools
+        every, within = share_work(pools, step.rows, step.pairs, boxes, settings.max_work)
         rule = Rule(
             settings.contacts_per_pair, 2 * settings.contacts_per_pair, settings.penetration_tolerance,
             settings.detection_tolerance, every,

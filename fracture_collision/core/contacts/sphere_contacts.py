@@ -23,7 +23,7 @@ from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bo
 from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.field.tetrahedra_near import tetrahedra_near
 from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
-from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES, is_mesh
+from fracture_collision.core.memory.kinds import SPHERE, TETRAHEDRA, TRIANGLES, is_mesh
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW
 from fracture_collision.core.mesh.closest_point import (
     ON_FACE,
@@ -71,8 +71,8 @@ class Place(NamedTuple):
 
 
 @query_kernel
-def sphere_contacts(pools, pair, number, rule, sink, scratch):
-    """The contacts of the sphere on side `number` (0: a) of a Pair, by a Rule.
+def sphere_contacts(pools, pair, rule, sink, scratch):
+    """The contacts of the sphere of a Pair, of a if both are, by a Rule.
 
     Those within rule.near: the deepest, then others as far apart in direction as possible until there are rule.wanted,
     and all that are deeper than rule.epsilon, at most rule.most. If more triangles are within reach than there is room
@@ -82,6 +82,7 @@ def sphere_contacts(pools, pair, number, rule, sink, scratch):
     (contacts found, missed depth bound [m] of all other places of the sphere, whether a limit left out any that are
     deeper than epsilon).
     """
+    number = 0 if pools.fragment.kind[pair.a] == SPHERE else 1
     ball, other = (pair.a, pair.b) if number == 0 else (pair.b, pair.a)
     center = pair.translation[number, 0], pair.translation[number, 1], pair.translation[number, 2]
     contacts, ids = sink

@@ -105,8 +105,7 @@ def _spheres(pools, pair, rule, sink, scratch):
     kinds = pools.fragment.kind
     if kinds[pair.a] != SPHERE and kinds[pair.b] != SPHERE:
         return Selected(0, 0.0), False
-    side = 0 if kinds[pair.a] == SPHERE else 1
-    count, bound, is_cut = sphere_contacts(pools, pair, side, rule, sink, scratch)
+    count, bound, is_cut = sphere_contacts(pools, pair, rule, sink, scratch)
     return Selected(count, bound), is_cut
 
 

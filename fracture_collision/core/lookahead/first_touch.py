@@ -195,8 +195,7 @@ def near_now(pools, edges, pair, rule, search, listed, sink, scratch):
         clear = _clearance_of_sphere(pools, a, b, translation, rule.near, far, scratch)
         if clear > 0.0:
             return 0, clear, Listed(-1, 0, 0.0), 1
-        side = 0 if pools.fragment.kind[a] == SPHERE else 1
-        found, _, _ = sphere_contacts(pools, pair, side, rule, sink, scratch)
+        found, _, _ = sphere_contacts(pools, pair, rule, sink, scratch)
         return found, 0.0, Listed(-1, 0, 0.0), 1
     radius = min(pools.fragment.radius[a], pools.fragment.radius[b])
     samples, places, ridges = scratch.ahead_samples, scratch.ahead_places, scratch.ahead_ridges

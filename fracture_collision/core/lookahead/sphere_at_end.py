@@ -45,7 +45,7 @@ def sphere_at_end(pools, pair, moving, rule, count, sink, scratch):
     radius = pools.fragment.shape[ball, 0]
     put_poses(moving, motion.time, scratch.world_rotation, scratch.world_position, pair)
     out = Sink(contacts[count:], ids[count:])
-    found, _, _ = sphere_contacts(pools, pair, number, rule, out, scratch)
+    found, _, _ = sphere_contacts(pools, pair, rule, out, scratch)
     put_poses(moving, 0.0, scratch.world_rotation, scratch.world_position, pair)
     if count + found > len(contacts):
         return count + found, False

@@ -15,7 +15,7 @@ from fracture_collision.core.lookahead.motion import between_balls, closing_spee
 from fracture_collision.core.lookahead.sphere_at_end import sphere_at_end
 from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hulls_stay_apart, may_touch_again
 from fracture_collision.core.memory.compiled import spliced_kernel
-from fracture_collision.core.memory.kinds import SPHERE, is_bounded
+from fracture_collision.core.memory.kinds import is_bounded
 from fracture_collision.core.memory.pair import Sink
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.patches.pair_contacts import Wanted, put_patch
@@ -125,8 +125,7 @@ def _of_sphere(pools, pair, rule, slot, sink, scratch):
             keep_pose(rotation, translation, slot.lists.listed_at[slot.row])
     if clear > 0.0:
         return Found(0, slack, 0, COMPLETE, clear)
-    side = 0 if pools.fragment.kind[a] == SPHERE else 1
-    count, bound, is_cut = sphere_contacts(pools, pair, side, rule, sink, scratch)
+    count, bound, is_cut = sphere_contacts(pools, pair, rule, sink, scratch)
     return Found(count, bound + slack, 0, BY_LIMIT if is_cut else COMPLETE, 0.0)
 
 
