@@ -56,6 +56,7 @@ docs/security
 :caption: Understand it
 docs/paper
 docs/numerics
+docs/accuracy
 docs/benchmarks
 docs/reliability
 docs/architecture
