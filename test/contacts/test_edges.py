@@ -18,6 +18,7 @@ from worlds.sampled_worlds import ForgetfulWorld, SampledWorld
 from fracture_collision.core.edges.ridge_contacts import DEEPEST, RIDGES_EACH
 from fracture_collision.core.edges.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
 from fracture_collision.core.edges.ridges import LEAST_LENGTH, LEAST_TURN, LENGTH, OUTWARD, TURN
+from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_RIDGES
 from fracture_collision.core.mesh.surface_triangles import surface_triangles
 from fracture_collision.geometry.generators import brick
@@ -57,8 +58,8 @@ def case(request) -> FracturedWorld:
 
 
 def rows_of(case: FracturedWorld, fragment: int) -> np.ndarray:
-    ridges, row = case.geometry.ridges, case.row(fragment)
-    return ridges.rows[ridges.first[row] : ridges.first[row] + ridges.count[row]]
+    ridges, row = case.geometry.searched.edges, case.row(fragment)
+    return ridges.rows[LEAF * ridges.first[row] : LEAF * ridges.first[row] + ridges.count[row]]
 
 
 def test_ridges_are_the_convex_edges_of_a_surface(case: FracturedWorld) -> None:
@@ -248,8 +249,8 @@ def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
     geometry = world._registry.geometry
 
     def of(row: int) -> np.ndarray:
-        first = geometry.ridges.first[row]
-        return geometry.ridges.rows[first : first + geometry.ridges.count[row]]
+        first = LEAF * geometry.searched.edges.first[row]
+        return geometry.searched.edges.rows[first : first + geometry.searched.edges.count[row]]
 
     before = of(1).copy(), of(2).copy()
     assert len(before[0]) != len(before[1])

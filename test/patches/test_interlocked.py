@@ -145,7 +145,7 @@ def test_what_is_kept_of_a_pair_does_not_change_an_answer() -> None:
         kept, fresh = (world.contacts(states) for world in worlds)
         for column in ("fragment_a", "fragment_b", "pair_begin", "gaps", "normals", "points_a", "missed_depth_bound"):
             np.testing.assert_array_equal(getattr(kept, column), getattr(fresh, column), err_msg=f"{column} {step}")
-        listed += int((worlds[0]._remembered.lists.close.counts >= 0).sum())
+        listed += int((worlds[0]._remembered.slots.lists.close.counts >= 0).sum())
     assert listed > 100
 
 

@@ -13,7 +13,7 @@ from worlds.sampled_worlds import ForgetfulWorld
 
 from fracture_collision.core.memory.pair import Pair
 from fracture_collision.core.pair.narrow_phase import NOTHING_REMEMBERED
-from fracture_collision.core.search.neighbour_lists import NO_LISTS, displacement, with_pairs
+from fracture_collision.core.search.neighbour_lists import NO_SLOTS, displacement, with_pairs
 from fracture_collision.core.separation.oriented_boxes import box_clearance
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import BOX, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
@@ -80,8 +80,8 @@ def test_answers_with_neighbour_lists_equal_those_of_searches(shape, contacts_pe
         answers = [world.contacts(states) for world in worlds]
         assert_same(*answers)
         visits += [world.last_visits for world in worlds]
-        lists, answer = worlds[0]._remembered
-        listed = max(listed, int((lists.counts > 0).sum()))
+        slots, answer = worlds[0]._remembered
+        listed = max(listed, int((slots.lists.counts > 0).sum()))
         kept = max(kept, int((answer.pair_of_slot >= 0).sum()))
         if step % 7 == 0:
             for field in answers[0]:  # callers may overwrite an answer
@@ -119,11 +119,11 @@ def test_nothing_is_remembered_where_the_work_is_limited() -> None:
 
 def test_each_pair_keeps_a_slot_of_its_own() -> None:
     random = np.random.default_rng(3)
-    lists, slot_of = NO_LISTS, {}
+    kept, slot_of = NO_SLOTS, {}
     for _ in range(60):
         keys = random.permutation(200)[: random.integers(0, 150)].astype(np.int64)
-        lists, slots, known = with_pairs(lists, keys)
-        assert len(set(slots.tolist())) == len(keys) <= len(lists.counts)
+        kept, slots, known = with_pairs(kept, keys)
+        assert len(set(slots.tolist())) == len(keys) <= len(kept.lists.counts)
         assert known.tolist() == [key in slot_of for key in keys.tolist()]
         assert all(slot_of.get(key, slot) == slot for key, slot in zip(keys.tolist(), slots.tolist(), strict=True))
         slot_of = dict(zip(keys.tolist(), slots.tolist(), strict=True))

@@ -9,6 +9,7 @@ from worlds.fractured_worlds import SETTINGS, fractured_world, with_settings
 from worlds.hard_worlds import tetrahedral_body
 from worlds.sampled_worlds import sampled_world
 
+from benchmarks import random_pairs
 from benchmarks.scaling.crowds import CLOSE, crowd, measure_crowds
 from fracture_collision.core.search.passes import _level
 from fracture_collision.geometry.generators import ball
@@ -115,6 +116,15 @@ def test_the_bound_covers_contacts_omitted_by_a_limit(limits: dict, kind: str) -
         for pair, (rows, _) in listed.items():
             deepest = np.sort(everything.gaps[its[pair][0]])[: len(answer.gaps[rows])]
             assert np.allclose(np.sort(answer.gaps[rows]), deepest)
+
+
+@pytest.mark.parametrize("limits", [{"max_work": 1}, {"contacts_per_pair": 300}], ids=str)
+def test_the_bound_covers_surfaces_that_are_not_tested_as_a_whole(limits: dict, monkeypatch) -> None:
+    """By libigl's distances: coarse triangles of hooks, plates and rings are in each other with no sample there."""
+    monkeypatch.setattr(random_pairs, "SETTINGS", Settings(threads=1, **limits))
+    pairs = list(random_pairs.campaign("triangles", 60, 1))
+    assert sum(pair.depth > pair.listed for pair in pairs) > 20
+    assert not [pair for pair in pairs if "beyond" in pair.faults or "unlisted" in pair.faults]
 
 
 def test_the_limit_per_pair_is_the_largest_that_fits() -> None:
