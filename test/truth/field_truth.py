@@ -7,6 +7,7 @@ tested probes. Only `igl` is used: its package `igl.copyleft` has a different li
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import igl
@@ -114,7 +115,7 @@ def _probe(
     case: FracturedWorld, points: np.ndarray, fragments: np.ndarray, field: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Depth (n,) [m], most (n,) [m] and direction (n, 3) of each point in its fragment; nan if it is not inside."""
-    pools, paper = case.geometry.pools, case.geometry.paper.pools._replace(is_averaged=field == "averaged")
+    pools, paper = case.geometry.pools, replace(case.geometry.paper.pools, is_averaged=field == "averaged")
     scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     rows = {f: case.row(f) for f in case.oracle.fragment_ids}
     answers = np.full((len(points), 5), np.nan)
