@@ -237,22 +237,3 @@ def test_answers_do_not_depend_on_lists_or_threads(case: FracturedWorld, lookahe
             assert_same(first, other)
         crossings += len(first.gaps)
     assert crossings > 1000
-
-
-def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
-    world = CollisionWorld(EDGES)
-    for body_id, size in ((1, 0.25), (2, 0.5), (3, 0.25)):
-        world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), size), body_id))
-    ids, turns = np.array([1, 2, 3]), np.tile([0.0, 0.0, 0.0, 1.0], 3)
-    world.contacts(FragmentStates(1, 0, ids, np.arange(9.0), turns))
-    geometry = world._registry.geometry
-
-    def of(row: int) -> np.ndarray:
-        first = geometry.ridges.first[row]
-        return geometry.ridges.rows[first : first + geometry.ridges.count[row]]
-
-    before = of(1).copy(), of(2).copy()
-    assert len(before[0]) != len(before[1])
-    assert geometry.keep_only(np.array([1, 2])).tolist() == [0, 1]
-    for row in (0, 1):
-        np.testing.assert_array_equal(of(row), before[row])

@@ -321,22 +321,3 @@ def test_a_million_turns_of_the_scene() -> None:
     assert np.abs(moved.gaps - rest.gaps).max() <= ROUNDING
     assert np.abs(turn.inv().apply(moved.points_a.reshape(-1, 3)) - rest.points_a.reshape(-1, 3)).max() <= ROUNDING
     assert np.abs(turn.inv().apply(moved.normals.reshape(-1, 3)) - rest.normals.reshape(-1, 3)).max() <= 1e-9
-
-
-@pytest.mark.parametrize("steps", [1, 7, 16], ids=["whole turns", "sevenths", "small steps"])
-def test_a_million_turns_of_one_fragment(steps: int) -> None:
-    """One fragment comes back to where it was: its contacts are those of rest to the drift of the accumulated angle.
-
-    A step's angle is rounded to 1e-16 or so: `steps` * 1e6 products drift by less than 4e-16 rad each.
-    """
-    case = broken_ball()
-    states = jittered(case)
-    turn = Rotation.from_quat(accumulated(Rotation.from_rotvec(2.0 * np.pi / steps * AXIS).as_quat(), steps * TURNS))
-    drift = steps * TURNS * 4e-16
-    orientations = Rotation.from_quat(states.orientations.reshape(-1, 4))
-    quaternions = orientations.as_quat()
-    quaternions[0] = (orientations[0] * turn).as_quat()
-    rest = case.world.contacts(states)
-    moved = case.world.contacts(states._replace(orientations=quaternions.ravel()))
-    assert turn.magnitude() <= drift
-    assert_same(moved, rest, np.zeros(3), 4.0 * drift)
