@@ -282,22 +282,6 @@ def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitte
                     assert case.oracle.depth(other, unlisted, ALL_KINDS)[0].max() <= bound
 
 
-def test_contacts_do_not_depend_on_earlier_steps_or_threads(case: FracturedWorld) -> None:
-    states = case.states(0.05, seed=4)
-    reference = _bytes(case.world.contacts(states))
-    case.world.contacts(FragmentStates(1, 1, np.zeros(0, int), np.zeros(0), np.zeros(0)))
-    assert _bytes(case.world.contacts(states)) == reference
-    many = CollisionWorld(AVERAGED._replace(threads=3))
-    many.add_body(case.messages[0][0])
-    for event in case.messages[1]:
-        many.add_fracture(event)
-    assert _bytes(many.contacts(states)) == reference
-
-
-def _bytes(answer) -> bytes:
-    return b"".join(np.asarray(field).tobytes() for field in answer)
-
-
 def test_fields_that_are_not_used_are_not_stored() -> None:
     """Our method stores neither trees nor an averaged field; an unbroken body stores no interior."""
     case = fractured_world(SHAPES["ball"](), 4, 1)
