@@ -91,39 +91,3 @@ def test_callees_are_linked_into_what_python_calls(tmp_path: Path) -> None:
     expected = 32.5
     for hits, callees in ((0, ["inner", "allocating"]), (1, ["inner", "allocating"])):
         assert said(FROM_KERNELS, tmp_path) == [expected, callees, hits, 12.0, expected]
-
-
-CALLS = """
-import json
-import numpy as np
-from some_kernels import outer
-total = outer(np.arange(6.0))
-lines = next(iter(outer.inspect_asm().values())).splitlines()
-labels = [line for line in lines if line.startswith("_ZN12some_kernels") and line.endswith(":")]
-has = {name: sum(f"{len(name)}{name}B" in label for label in labels) for name in ("kept", "between")}
-print(json.dumps([total, has]))
-"""
-
-KERNELS_WITH_CALLS = """
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
-
-@query_kernel
-def kept(values, x):
-    total = 0.0
-    for value in values:
-        total += value * x
-    return total
-
-@inlined_kernel
-def between(values, x):
-    return kept(values, x) + 1.0
-
-@query_kernel
-def outer(values):
-    return between(values, 2.0) + between(values, 3.0)
-"""
-
-
-def test_a_query_kernel_stays_a_call_even_below_inlined_ones(tmp_path: Path) -> None:
-    (tmp_path / "some_kernels.py").write_text(KERNELS_WITH_CALLS)
-    assert said(CALLS, tmp_path) == [77.0, {"kept": 1, "between": 0}], "functions of its machine code"

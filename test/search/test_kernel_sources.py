@@ -34,13 +34,6 @@ def test_every_import_is_found() -> None:
         assert _imports(file) == imported_by(ast.parse(file.read_text())), file
 
 
-def test_a_kernel_knows_what_it_calls_in_other_files() -> None:
-    assert PACKAGE / "core" / "field" / "flood.py" in sources_of(PACKAGE / "core" / "pair" / "narrow_phase.py")
-    assert PACKAGE / "ros" / "wire" / "qos.py" not in sources_of(PACKAGE / "core" / "pair" / "narrow_phase.py")
-    memory = PACKAGE / "core" / "memory"
-    assert source_digest(memory / "heap.py") != source_digest(memory / "kinds.py")
-
-
 def test_an_installed_package_has_the_digests_of_its_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Numba and all others lie beside it there."""
     site = tmp_path / "site-packages"

@@ -13,7 +13,7 @@ from worlds.sampled_worlds import ForgetfulWorld
 
 from fracture_collision.core.memory.pair import Pair
 from fracture_collision.core.pair.narrow_phase import NOTHING_REMEMBERED
-from fracture_collision.core.search.neighbour_lists import NO_LISTS, displacement, with_pairs
+from fracture_collision.core.search.neighbour_lists import displacement
 from fracture_collision.core.separation.oriented_boxes import box_clearance
 from fracture_collision.geometry.generators import ball, brick, shell
 from fracture_collision.records import BOX, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
@@ -115,18 +115,6 @@ def test_nothing_is_remembered_where_the_work_is_limited() -> None:
     answers = [world.contacts(case.states(0.005)) for _ in range(4)]
     assert_same(answers[0], answers[-1])
     assert world._remembered is NOTHING_REMEMBERED
-
-
-def test_each_pair_keeps_a_slot_of_its_own() -> None:
-    random = np.random.default_rng(3)
-    lists, slot_of = NO_LISTS, {}
-    for _ in range(60):
-        keys = random.permutation(200)[: random.integers(0, 150)].astype(np.int64)
-        lists, slots, known = with_pairs(lists, keys)
-        assert len(set(slots.tolist())) == len(keys) <= len(lists.counts)
-        assert known.tolist() == [key in slot_of for key in keys.tolist()]
-        assert all(slot_of.get(key, slot) == slot for key, slot in zip(keys.tolist(), slots.tolist(), strict=True))
-        slot_of = dict(zip(keys.tolist(), slots.tolist(), strict=True))
 
 
 def test_boxes_are_no_nearer_than_their_clearance() -> None:

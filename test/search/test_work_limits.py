@@ -10,7 +10,6 @@ from worlds.hard_worlds import tetrahedral_body
 from worlds.sampled_worlds import sampled_world
 
 from benchmarks.scaling.crowds import CLOSE, crowd, measure_crowds
-from fracture_collision.core.search.passes import _level
 from fracture_collision.geometry.generators import ball
 from fracture_collision.records import (
     BOX,
@@ -115,16 +114,6 @@ def test_the_bound_covers_contacts_omitted_by_a_limit(limits: dict, kind: str) -
         for pair, (rows, _) in listed.items():
             deepest = np.sort(everything.gaps[its[pair][0]])[: len(answer.gaps[rows])]
             assert np.allclose(np.sort(answer.gaps[rows]), deepest)
-
-
-def test_the_limit_per_pair_is_the_largest_that_fits() -> None:
-    random = np.random.default_rng(2)
-    for _ in range(300):
-        counts = random.integers(0, random.integers(2, 40), random.integers(1, 12)) + 1
-        most = int(random.integers(0, counts.sum()))
-        level = _level(counts, most)
-        assert np.minimum(counts, level).sum() <= most
-        assert np.minimum(counts, level + 1).sum() > most
 
 
 def test_a_pair_with_a_plane_has_a_finite_bound_when_a_limit_cuts_its_search_short() -> None:
