@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from worlds.sampled_worlds import ForgetfulWorld
 
 from benchmarks.peers.judging.least_translation import least_translation
-from fracture_collision.core.patches.interlocked import _satisfying
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates, Settings
 
@@ -147,22 +146,3 @@ def test_what_is_kept_of_a_pair_does_not_change_an_answer() -> None:
             np.testing.assert_array_equal(getattr(kept, column), getattr(fresh, column), err_msg=f"{column} {step}")
         listed += int((worlds[0]._remembered.lists.close.counts >= 0).sum())
     assert listed > 100
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_translation_leaves_the_same_beyond_every_need(seed: int) -> None:
-    """Also across: one that was made longer along itself went back into what it had just left."""
-    random = np.random.default_rng(seed)
-    normals = random.normal(size=(6, 3)) + (0.0, 0.0, 1.5)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    needs = random.uniform(-1.0, 1.0, 6)
-    x, is_possible = _satisfying(normals, needs, 0.1)
-    assert is_possible and (normals @ x >= needs + 0.1 - 1e-7).all()
-
-
-def test_where_there_is_no_room_beyond_the_needs_they_are_satisfied() -> None:
-    """A snug slot."""
-    normals = np.array([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
-    x, is_possible = _satisfying(normals, np.array([0.2, -0.2, 0.3]), 0.1)
-    assert is_possible
-    np.testing.assert_allclose(x, (0.2, 0.0, 0.3), atol=1e-9)
