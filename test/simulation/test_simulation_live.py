@@ -6,42 +6,16 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from worlds.served_scene import PlayedScene
 
 from fracture_collision.records import ADD, REMOVE
-from fracture_collision.simulation.live import MOST_BALLS, Ball, CommandRefused, LiveScene
-from fracture_collision.simulation.scene.scene import load_scene
-from fracture_collision.simulation.simulation import StepReport, StepRequest
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.simulation.live import MOST_BALLS, Ball, CommandRefused
 
 PLATE = np.array([-0.45, 0.0, 0.7227])
 STILL = np.zeros(3)
 
 
-class Run:
-    """Simulator and service of a live scene, in one process; looks_ahead: by the scene's time step, as `play` does."""
-
-    def __init__(self, scene: str = "plates", looks_ahead: bool = True) -> None:
-        parsed = load_scene(scene)
-        self.live = LiveScene(parsed, 7, looks_ahead)
-        self.world = CollisionWorld(Settings(lookahead=parsed.time_step if looks_ahead else 0.0))
-        self.requests: list[StepRequest] = []
-
-    def step(self, count: int = 1) -> StepReport:
-        simulation = self.live.simulation
-        for _ in range(count):
-            self.requests.append(simulation.begin_step())
-            for body in self.requests[-1].bodies:
-                self.world.add_body(body)
-            for event in self.requests[-1].events:
-                self.world.add_fracture(event)
-            contacts = self.world.contacts(self.requests[-1].states)
-            report = simulation.finish_step(contacts, self.world.fragments())
-        return report
-
-    def place(self, fragment_id: int) -> np.ndarray:
-        states = self.requests[-1].states
-        return states.positions.reshape(-1, 3)[list(states.fragment_ids).index(fragment_id)]
-
+class Run(PlayedScene):
     def announced(self, operation: int) -> list[int]:
         return [body.body_id for request in self.requests for body in request.bodies if body.operation == operation]
 

@@ -154,15 +154,6 @@ def test_curvature_applies_to_all_cracks():
         with_curvature(scene, -1.0)
 
 
-def test_flat_cracks_have_one_plane_between_two_pieces_curved_ones_many():
-    flat, curved = (with_curvature(load_scene("reference_sphere"), c) for c in (0.0, 0.3))
-    planes = []
-    for scene in (flat, curved):
-        (event,) = [event for report in run(scene, 30) for event in report.events]
-        planes.append(len(np.unique(np.round(event.cut_planes.reshape(-1, 4), 9), axis=0)) / len(event.cut_planes) * 4)
-    assert planes[0] < 0.2 < 0.8 < planes[1]
-
-
 CONTENT = {
     "time_step": 0.01, "duration": 1.0, "materials": {"stone": {"density": 2000.0, "friction": 0.5}},
     "bodies": [{"name": "stone", "material": "stone", "shape": {"sphere": {"radius": 0.1}}, "position": [0, 0, 1]}],
