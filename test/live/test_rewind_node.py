@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from stages.live_player import PLATE, Player
 from stages.ros_stage import StageWithClients
 
@@ -15,15 +12,6 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.conversion import to_record
 
 LONG = 400  # steps, 1 s: more than the interval of moments to go back to
-
-
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[StageWithClients]:
-    made = StageWithClients(tmp_path)
-    try:
-        yield made
-    finally:
-        made.close()
 
 
 def course(messages: list[Any], run_id: int) -> dict[int, list[bytes]]:
