@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from stages.ros_client import ServiceClient
 from stages.ros_stage import StageWithClients
-from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, ground
+from worlds.broken_bar import STATES, tell_all
 from worlds.scene_of_length import scene_of_length
 
 from campaigns.kills.stage import await_end, await_recording, await_step, await_that, must_end, steps_told
@@ -96,13 +96,8 @@ def test_a_recorder_gets_the_answers_that_came_before_it(stage: StageWithClients
 
 
 def service_with_bodies(stage: StageWithClients) -> ServiceClient:
-    stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
-    for body in (breakable_body(), ground()):
-        client.publish("bodies", body, RUN)
-    for event in (FIRST, SECOND):
-        client.publish("fracture_events", event, RUN)
+    _, client = stage.served()
+    tell_all(client, RUN)
     client.ask(STATES, RUN)
     return client
 
