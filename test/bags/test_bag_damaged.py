@@ -18,6 +18,7 @@ import pytest
 import yaml
 import zstandard
 from stages.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, chunk, record, text
+from stages.typed_command import run
 from worlds.recorded_pane import changed_bag, record_pane, write_bag
 
 from fracture_collision.bag import mcap_file
@@ -277,8 +278,7 @@ def test_commands_reject_damaged_files_without_a_traceback(words: list[str], tmp
         folder = tmp_path / name.replace(" ", "_")
         folder.mkdir()
         (folder / "lie_0.mcap").write_bytes(LIES[name][0])
-        command = [sys.executable, "-m", "fracture_collision.cli", *words, folder]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+        done = run(*words, folder, timeout=60.0)
         assert "Traceback" not in done.stderr
         if words == ["replay"] or name == "noise":
             assert done.returncode == 2 and "Error:" in done.stderr
