@@ -9,10 +9,11 @@ import pytest
 from oracles.brute_force import owners, partition_of
 from oracles.convex_cells import area_vector
 from oracles.fracture_patterns import curved_event, disagreeing_event, event_of_labels, voronoi_event
-from oracles.fragmented_body import CRACK, ORIGINAL, FragmentedBody
+from oracles.fragmented_body import CRACK, ORIGINAL, FragmentedBody, uniform_points
 from oracles.voronoi_cells import against_voronoi_cells
+from worlds.rigid_shapes import winding_number
 
-from fracture_collision.geometry.generators import TetGeometry, ball, brick, plate, shell
+from fracture_collision.geometry.generators import ball, brick, plate, shell
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.records import FractureEvent
 
@@ -51,22 +52,6 @@ def broken(shape: str, crack: str, generations: int = 3) -> FragmentedBody:
     return body
 
 
-def points_inside(mesh: TetGeometry, n: int) -> np.ndarray:
-    rng = np.random.default_rng(5)
-    volumes = tetrahedron_volumes(*mesh)
-    tets = rng.choice(len(volumes), n, p=volumes / volumes.sum())
-    return np.einsum("ni,nij->nj", rng.dirichlet(np.ones(4), n), mesh.vertices[mesh.tetrahedra[tets]])
-
-
-def winding(x: np.ndarray, triangles: np.ndarray) -> float:
-    """How often the triangles (t, 3, 3) close around a point (van Oosterom, Strackee 1983)."""
-    a, b, c = (triangles[:, i] - x for i in range(3))
-    p, q, r = (np.linalg.norm(side, axis=1) for side in (a, b, c))
-    dot = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
-    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
-    return float(np.arctan2(volume, p * q * r + dot[0] * r + dot[1] * p + dot[2] * q).sum() / (2.0 * np.pi))
-
-
 @every_case
 @pytest.mark.parametrize("generations", [2, 3])
 def test_volumes_add_up(shape: str, crack: str, generations: int) -> None:
@@ -82,12 +67,12 @@ def test_volumes_add_up(shape: str, crack: str, generations: int) -> None:
 @every_case
 def test_every_point_has_one_owner_and_is_within_its_surface_alone(shape: str, crack: str) -> None:
     body = broken(shape, crack)
-    points = points_inside(BODIES[shape], 200)
+    points = uniform_points(*BODIES[shape], 200, np.random.default_rng(5))
     owners = body.owner(points)
     assert set(owners.tolist()) <= set(body.fragment_ids)
     for f in body.fragment_ids:
         triangles = body.surface_triangles(f)
-        times = np.array([winding(x, triangles) for x in points])
+        times = winding_number(triangles, points)
         assert np.abs(times - (owners == f)).max() < 1e-9
     far = np.array([[1.0, 0, 0], [0, 0, 0.3]])
     assert body.owner(far).tolist() == [0, 0]
