@@ -19,7 +19,7 @@ import yaml
 import zstandard
 from stages.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, chunk, record, text
 from stages.typed_command import run
-from worlds.recorded_pane import changed_bag, record_pane, write_bag
+from worlds.recorded_pane import changed_bag, record_pane
 
 from fracture_collision.bag import mcap_file
 from fracture_collision.bag.exchanges import read_runs
@@ -282,9 +282,3 @@ def test_commands_reject_damaged_files_without_a_traceback(words: list[str], tmp
         assert "Traceback" not in done.stderr
         if words == ["replay"] or name == "noise":
             assert done.returncode == 2 and "Error:" in done.stderr
-
-
-def test_a_bag_without_states_is_rejected(whole: Path, tmp_path: Path) -> None:
-    empty = write_bag(tmp_path / "empty", [])
-    with pytest.raises(BagError, match="holds no fracture_collision/msg/FragmentStates"):
-        read_runs(empty)

@@ -29,7 +29,7 @@ from fracture_collision.simulation.actors.arm import (
     require_within,
 )
 from fracture_collision.simulation.config.shapes import Shape
-from fracture_collision.simulation.live import CommandRefused, LiveScene
+from fracture_collision.simulation.live import CommandRefused
 from fracture_collision.simulation.rotations import from_euler_angles
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, parse_scene
 from fracture_collision.world import Settings
@@ -279,13 +279,6 @@ def test_invalid_arguments_are_rejected_with_an_explanation(played: Played, name
     with pytest.raises(CommandRefused, match=words):
         played.live.command_joints(names, positions)
     assert np.array_equal(played.follow(5)[1][-1], before)
-
-
-def test_commands_to_a_scene_without_an_arm_are_rejected() -> None:
-    live = LiveScene(load_scene("pane"), 1)
-    with pytest.raises(CommandRefused, match="the scene has no arm"):
-        live.command_joints([], [0.0] * JOINTS)
-    live.close()
 
 
 def row(time: float = 0.0, **angles: float) -> list[float]:

@@ -65,33 +65,6 @@ def test_a_hand_keeps_a_piece_of_a_body_that_breaks(run: Run) -> None:
     assert run.live.simulation.drag.held is None
 
 
-def dragged(run: Run, seconds: float, rate: float) -> np.ndarray:
-    """How far [m] the first plate is from a hand that moved 0.4 m for so many seconds of a user, at this pace."""
-    run.step(5)
-    messages = round(seconds / 0.05)
-    for k in range(messages + 1):
-        target = PLATE + np.array([0.0, -0.3, 0.3]) * k / messages
-        run.live.drag(5, STILL, target)
-        run.step(max(1, round(0.05 * rate / 0.0025)))
-    return run.place(5) - target
-
-
-@pytest.mark.parametrize("rate", [1.0, 0.1])
-def test_a_hand_is_as_close_to_its_user_in_a_slow_scene(run: Run, rate: float) -> None:
-    run.live.keep_pace(rate)
-    assert np.linalg.norm(dragged(run, 1.0, rate)) < 0.05
-    run.step(round(0.5 * rate / 0.0025))  # half a second of the user, without another message
-    before = run.place(5)
-    run.live.drag(0, STILL, STILL)
-    run.step(20)
-    fall = 0.5 * 9.81 * 0.05**2
-    assert np.linalg.norm(run.place(5) - before - [0.0, 0.0, -fall]) < 0.015, "it does not fly away"
-
-
-def test_a_hand_at_its_own_pace_lags_in_a_slow_scene(run: Run) -> None:
-    assert np.linalg.norm(dragged(run, 1.0, 0.1)) > 0.2, "why keep_pace is there"
-
-
 def test_another_grip_takes_hold_anew(run: Run) -> None:
     """The message that released the first one may have been overwritten by this one."""
     run.step(5)
