@@ -22,21 +22,6 @@ from fracture_collision.ros.wire.conversion import heading
 from fracture_collision.world import CollisionWorld, InvalidMessage, StatesAhead
 
 
-def test_events_may_precede_their_body_and_states_both() -> None:
-    run = CollisionRun(1, SETTINGS)
-    assert run.answer(STATES) is None
-    for event in (FIRST, SECOND):
-        (refusal,) = run.add_fracture(event)
-        assert refusal.kind == "unknown_id" and "body_id" in refusal.reason
-    assert run.held_event_count == 2
-    assert run.answer(STATES) is None
-    assert run.add_body(GROUND) == []
-    assert run.answer(STATES) is None
-    assert run.add_body(BAR) == []
-    assert (run.held_event_count, run.event_count) == (0, 2)
-    assert record_bytes(run.answer(STATES)) == record_bytes(expected_contacts())
-
-
 def test_an_event_of_an_unknown_body_blocks_nothing() -> None:
     run = CollisionRun(1, SETTINGS)
     run.add_body(BAR)
