@@ -1,4 +1,4 @@
-"""Answers for convex bodies: contacts along one direction, a bound that holds, no influence of earlier answers."""
+"""Answers for convex bodies: contacts along one direction, and a bound that holds."""
 
 from __future__ import annotations
 
