@@ -115,48 +115,6 @@ def test_numba_is_the_same_after_a_kernel_was_loaded(tmp_path: Path) -> None:
     assert said(BESIDE_NUMBA, tmp_path) == [True, False]
 
 
-USER = """
-import json
-import numpy as np
-from numba import njit
-from user_kernels import outer, inner, middle
-
-first = outer(np.arange(6.0))
-
-@njit
-def of_the_user(values):
-    return middle(values, 3.0) + outer(values)
-
-print(json.dumps([first, of_the_user(np.arange(6.0)), float(inner(np.arange(3.0), 2.0))]))
-"""
-
-USER_KERNELS = """
-from fracture_collision.core.memory.compiled import kernel, query_kernel
-
-@query_kernel
-def inner(values, x):
-    total = 0.0
-    for value in values:
-        total += value * x
-    return total
-
-@query_kernel
-def middle(values, x):
-    return inner(values, x) + 1.0
-
-@kernel
-def outer(values):
-    return middle(values, 2.0)
-"""
-
-
-def test_a_function_of_the_user_calls_kernels_that_were_compiled_for_others(tmp_path: Path) -> None:
-    """Compiled by the first process, loaded from the cache by the second."""
-    (tmp_path / "user_kernels.py").write_text(USER_KERNELS)
-    for _ in range(2):
-        assert said(USER, tmp_path) == [31.0, 46.0 + 31.0, 6.0]
-
-
 NEARER = "feature, source, where = e2,"  # where flood.py takes a squared distance
 
 DEPTH = """
