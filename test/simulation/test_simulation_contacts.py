@@ -44,36 +44,11 @@ TUMBLING = [
 ]
 
 
-def test_a_stack_of_boxes_stands():
-    boxes = [
-        box(f"box {i}", [0.2, 0.2, 0.1], [0.004 * (i % 2), 0.0, 0.05 + 0.102 * i], rotation=[0, 0, 7.0 * i])
-        for i in range(8)
-    ]
-    reports, states = run(make_scene(*boxes, duration=2.5))
-    assert reports[-1].max_speed < 1e-4
-    assert reports[-1].deepest_gap > -3e-4
-    heights = states.positions.reshape(-1, 3)[:, 2]
-    np.testing.assert_allclose(np.sort(heights), 0.05 + 0.1 * np.arange(8), atol=1.2e-3)
-
-
 def test_no_energy_is_gained_where_the_contacts_are_solved_to_the_end():
     solver = {"iterations": 1000, "accuracy": 0.0}
     reports, _ = run(make_scene(*TUMBLING, duration=1.2, solver=solver), energy_gain=1e-9)
     assert reports[0].potential_energy - reports[-1].potential_energy > 5.0
     assert reports[-1].max_speed < 1e-6
-
-
-@pytest.mark.parametrize(("degrees", "slides"), [(25.0, False), (28.0, True)])
-def test_a_block_slides_beyond_the_angle_of_friction(degrees, slides):
-    """Friction 0.5 holds up to atan 0.5 = 26.6 degrees; above, a block slides with g (sin - mu cos)."""
-    slope = np.radians(degrees)
-    normal = [-np.sin(slope), 0.0, np.cos(slope)]
-    position = 0.0251 * np.array(normal)
-    block = box("block", [0.2, 0.2, 0.05], position.tolist(), rotation=[0.0, -degrees, 0.0])
-    ground = GROUND | {"shape": {"plane": {"coefficients": [*normal, 0.0]}}}
-    reports, states = run(make_scene(block, ground=ground, duration=1.0))
-    expected = GRAVITY * (np.sin(slope) - 0.5 * np.cos(slope)) * 1.0 if slides else 0.0
-    assert reports[-1].max_speed == pytest.approx(expected, abs=5e-3)
 
 
 def test_friction_is_a_cone():

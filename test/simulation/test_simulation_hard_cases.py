@@ -326,16 +326,6 @@ def test_only_moving_breakable_bodies_can_be_struck():
 WOOD = {"density": 700.0, "friction": 0.5}
 
 
-def test_crossed_bars_of_one_cell_do_not_pass_through_each_other() -> None:
-    """A bar falls across another that is fixed."""
-    fixed = brick("fixed", [0.2, 0.02, 0.02], 0.2, static=True)
-    across = brick("across", [0.02, 0.2, 0.02], 0.2, [0.0, 0.0, 0.05])
-    with Lockstep(small_scene(WOOD, fixed, across, duration=0.5)) as run:
-        heights = [exchange.states.positions.reshape(-1, 3)[exchange.states.fragment_ids == 2, 2] for exchange in run]
-    assert min(np.concatenate(heights)) > 0.0198
-    assert abs(heights[-1][0] - 0.02) < 1e-4, "it rests"
-
-
 @pytest.mark.parametrize("speed", [50.0, 200.0])
 def test_a_fast_ball_does_not_pass_through_a_pane(speed: float) -> None:
     pane = box("pane", [0.5, 0.5, 0.004], static=True)

@@ -64,10 +64,6 @@ def assert_no_deeper_than_two_steps(reports: list[StepReport], scene: Scene) -> 
     assert min(report.deepest_gap for report in reports) > -2.5 * fastest * scene.time_step
 
 
-def test_all_scenes_of_the_paper_exist():
-    assert {*SCENES, "plates", "rolling_plate", "plate_in_bowl"} <= set(NAMES)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_scenes_load_and_equal_shapes_share_one_mesh(name):
     scene = load_scene(name)

@@ -13,9 +13,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from worlds.small_scenes import ball, box, small_scene
 
-from benchmarks.elementary.ours import run as run_elementary
-from benchmarks.elementary.scenes import SCENES, Setting
-from benchmarks.elementary.scenes import scene_of as elementary_scene
 from benchmarks.tunnelling import TIME_STEP, run_trial, scene_of
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import ContactConstraintArray
@@ -183,13 +180,6 @@ def test_a_shard_does_not_go_through_a_plate() -> None:
     assert not any(trial.is_through for trial in ahead)
     assert max(trial.energy_gain for trial in ahead) < 1e-12
     assert sum(run_trial(scene, 0.0).is_through for scene in scenes) > 6
-
-
-def test_bodies_that_touch_do_not_run_into_each_other_where_one_waits() -> None:
-    """Of dominoes that lean on each other, the last waits where it hits the next: 4.5 mm deep they went."""
-    dominoes = SCENES["dominoes"]
-    deepest = run_elementary(elementary_scene("dominoes", dominoes, Setting("box", step=0.01))).deepest.min()
-    assert deepest > -1e-3
 
 
 def test_a_service_that_does_not_look_ahead_by_a_step_is_warned_of_once_per_change() -> None:
