@@ -7,13 +7,12 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from test_neighbour_lists import assert_same, random_turns, turned
 from truth.contact_truth import COARSE_SHAPES, Poses, pairs_of, sample_ids, surface_samples
 from truth.surface_campaign import PairDepth, campaign
-from worlds.fractured_worlds import FracturedWorld, fractured_world, with_messages, with_settings
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
 from worlds.hard_worlds import tetrahedral_body
 from worlds.rods import EDGE, OVERLAP, answer_of_rods, crossed
-from worlds.sampled_worlds import ForgetfulWorld, SampledWorld
+from worlds.sampled_worlds import SampledWorld
 
 from fracture_collision.core.edges.ridge_contacts import DEEPEST, RIDGES_EACH
 from fracture_collision.core.edges.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
@@ -206,38 +205,6 @@ def test_edges_find_most_penetrations_that_samples_miss() -> None:
     )
     assert sampled[1] > 10
     assert edges[0] <= sampled[0] and 2 * edges[1] < sampled[1]
-
-
-@pytest.mark.parametrize("lookahead", [0.0, 0.02])
-def test_answers_do_not_depend_on_lists_or_threads(case: FracturedWorld, lookahead: float) -> None:
-    settings = EDGES._replace(lookahead=lookahead)
-    worlds = [
-        with_messages(world, case)
-        for world in (CollisionWorld(settings), CollisionWorld(settings._replace(threads=2)), ForgetfulWorld(settings))
-    ]
-    for world in worlds:
-        world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), 0.25), 2000))
-        world.add_body(CollisionBody(2001, 2001, primitive=SolidPrimitive(BOX, (0.8, 0.8, 0.4))))
-    random = np.random.default_rng(5)
-    ids = np.array([*case.oracle.fragment_ids, 2000, 2001])
-    n, crossings = len(ids), 0
-    positions, quaternions = random.uniform(-0.02, 0.02, (n, 3)), random_turns(random, n, 0.02)
-    positions[-2:] = (0.0, 0.0, 0.62), (0.95, 0.3, 0.3)
-    for step in range(1, 41):
-        size = 0.03 if step % 17 == 0 else 0.0 if step % 5 == 0 else 0.0006
-        move = np.flatnonzero(random.random(n) < (1.0 if step % 3 else 0.4))
-        positions[move] += random.uniform(-size, size, (len(move), 3))
-        if size:
-            quaternions[move] = turned(quaternions[move], random_turns(random, len(move), size))
-        states = FragmentStates(
-            step, case.generations, ids, positions.ravel(), quaternions.ravel(),
-            linear_velocities=random.uniform(-1.0, 1.0, 3 * n), angular_velocities=random.uniform(-1.0, 1.0, 3 * n),
-        )  # fmt: skip
-        first, *others = [world.contacts(states) for world in worlds]
-        for other in others:
-            assert_same(first, other)
-        crossings += len(first.gaps)
-    assert crossings > 1000
 
 
 def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
