@@ -69,6 +69,10 @@ class StructType(types.Type):
     """numba's type of a Struct: its class, and the types of its fields."""
 
     def __init__(self, of: type, members: tuple[tuple[str, types.Type], ...]) -> None:
+        """Raises TypeError if a field cannot be kept in words."""
+        for name, kind in members:
+            if not _is_words(kind):
+                raise TypeError(f"{of.__name__}.{name}: a field of a Struct can't be of type {kind}")
         self.of, self.members = of, members
         # part of the names of compiled functions, which a list of all members would make very long
         digest = hashlib.sha256(repr(members).encode()).hexdigest()[:12]
@@ -93,6 +97,12 @@ def _type_of(value: Any) -> types.Type:
     return _types_of_arrays[key]
 
 
+def _is_words(kind: types.Type) -> bool:
+    if isinstance(kind, types.BaseTuple):
+        return all(map(_is_words, kind))
+    return isinstance(kind, (types.Array, StructType, types.Integer, types.Boolean)) or kind == types.float64
+
+
 def _words_of(kind: types.Type) -> int:
     if isinstance(kind, types.Array):
         return BEFORE_SHAPE + 2 * kind.ndim
@@ -109,10 +119,8 @@ def _put_words(kind: types.Type, value: Any, words: list[int]) -> None:
         words.append(value._address)
     elif isinstance(kind, types.Float):
         words.append(int(np.float64(value).view(np.int64)))
-    elif isinstance(kind, (types.Integer, types.Boolean)):
-        words.append(int(value))
     else:
-        raise TypeError(f"a field of a Struct can't be of type {kind}")
+        words.append(int(value))
 
 
 @register_model(StructType)
