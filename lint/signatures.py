@@ -21,7 +21,6 @@ PARAMETERS, LINES = 8, 60
 # Why a kernel may exceed the limits, and the kernels: "file: function".
 KERNELS: dict[str, frozenset[str]] = {
     "the coordinates of the corners of a triangle or a tetrahedron, or the ten moments of one": frozenset({
-        "fracture_collision/core/mesh/closest_point.py: closest_on_triangle",
         "fracture_collision/core/mesh/closest_point.py: triangle_normal",
         "fracture_collision/core/mesh/moments.py: add_row",
     }),

@@ -94,4 +94,4 @@ def _height_squared(mesh, t, face, x, y, z):
 
 @njit(error_model="numpy")
 def _to_triangle(x, y, z, c):
-    return closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])[0]
+    return closest_on_triangle((x, y, z), ((c[0], c[1], c[2]), (c[3], c[4], c[5]), (c[6], c[7], c[8])))[0]

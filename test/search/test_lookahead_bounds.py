@@ -75,7 +75,7 @@ def test_the_bound_on_approach_is_never_exceeded(
         put_way(motion, i, j, start, AHEAD - start, time, other[0], way)
         for n in random.normal(size=(5, 3)):
             n /= np.linalg.norm(n)
-            nearer, most = ((seen[0] - seen) @ n).max(), nearer_along(way, *n)
+            nearer, most = ((seen[0] - seen) @ n).max(), nearer_along(way, tuple(n))
             assert nearer <= most + 1e-12
             assert spin > 0.0 or most < nearer + 1e-9
             unused.append(most - nearer)

@@ -28,8 +28,9 @@ from fracture_collision.core.field.flood import (
 )
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import BOX, SPHERE, TRIANGLES, has_faces
-from fracture_collision.core.memory.rotations import rotated, to_other
-from fracture_collision.core.mesh.closest_point import triangle_normal
+from fracture_collision.core.memory.transforms import rotated, to_other
+from fracture_collision.core.memory.vectors import corners_of, dot, minus, scaled, vector, vector_at
+from fracture_collision.core.mesh.closest_point import unit_normal
 from fracture_collision.core.mesh.point_location import holds_fragment, tetrahedron_at
 from fracture_collision.core.mesh.sample_numbers import (
     FIRST_NODE,
@@ -47,6 +48,8 @@ SAME_WAY = 0.25
 ON_BOX = 1e-9
 # Rounding of distances, as a share of R.
 ROUNDING = 1e-12
+# What _nearest_facing returns where there is nothing near.
+NOT_FOUND = False, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
 @query_kernel
@@ -69,9 +72,8 @@ def turn_contacts(pools, pair, near, sink, count, scratch):
             turn_to_crack(pools, f, own, near, contacts[c], witness, scratch)
         elif pools.fragment.kind[own] != SPHERE and has_faces(pools.fragment.kind[f]):
             row = contacts[c]
-            px, py, pz = to_other(rotation[1 - side], translation[1 - side], row[0], row[1], row[2])
-            ux, uy, uz = own_normal(pools, own, sample, px, py, pz)
-            outward = rotated(rotation[side], ux, uy, uz)
+            place = to_other(rotation[1 - side], translation[1 - side], row)
+            outward = rotated(rotation[side], own_normal(pools, own, sample, place))
             _turn_to_facing(pools, f, own, outward, near, row, scratch)
 
 
@@ -79,12 +81,11 @@ def turn_contacts(pools, pair, near, sink, count, scratch):
 def _turn_to_facing(pools, f, own, outward, near, row, scratch):
     """Turn a contact of a point of `own` with `f` to the nearest surface of f that faces the point, if that is near.
 
-    outward (x, y, z): the normal of own's surface in f's frame, not unit; zeros if unknown. Sets witness, normal and
+    outward: the normal of own's surface in f's frame, not unit; zeros if unknown. Sets witness, normal and
     gap of `row` (10,), see Sink.
     """
-    x, y, z, d = row[0], row[1], row[2], row[9]
-    ox, oy, oz = outward
-    along = ox * row[6] + oy * row[7] + oz * row[8]
+    point, d = vector_at(row, 0), row[9]
+    along = dot(outward, vector_at(row, 6))
     radius = min(pools.fragment.radius[f], pools.fragment.radius[own])
     slack = ROUNDING * radius
     inside = d <= slack
@@ -94,41 +95,38 @@ def _turn_to_facing(pools, f, own, outward, near, row, scratch):
             return
         # where the two just touch, rounding decides the direction: of surfaces equally near take one that faces
         limit = 2.0 * slack
-    found, qx, qy, qz, nx, ny, nz = _nearest_facing(pools, f, inside, (x, y, z), limit, outward, scratch)
+    found, q, n = _nearest_facing(pools, f, inside, point, limit, outward, scratch)
     if not found:
         return
-    gap = nx * (x - qx) + ny * (y - qy) + nz * (z - qz)
+    gap = dot(n, minus(point, q))
     # along a rim the distance along the normal may be less than the depth; never report less than the depth
     if gap > d + slack if inside else gap < -slack or gap > near:
         return
-    row[3], row[4], row[5] = qx, qy, qz
-    row[6], row[7], row[8] = nx, ny, nz
+    row[3], row[4], row[5] = q
+    row[6], row[7], row[8] = n
     row[9] = gap
 
 
 @query_kernel
-def own_normal(pools, f, sample, x, y, z):
+def own_normal(pools, f, sample, place):
     """Outward normal of f's own surface at one of its samples, not unit; zeros if unknown.
 
-    (x, y, z) [m]: the sample's place in f's body frame. Returns (nx, ny, nz) in that frame.
+    place [m] of the sample, and the normal: in f's body frame.
     """
     kind = pools.fragment.kind[f]
     if kind == BOX:
         half = pools.fragment.shape[f]
-        return _face_sign(x, half[0]), _face_sign(y, half[1]), _face_sign(z, half[2])
+        return _face_sign(place[0], half[0]), _face_sign(place[1], half[1]), _face_sign(place[2], half[2])
     k = pools.fragment.mesh[f]
     if kind == TRIANGLES:
-        n = pools.triangles.pseudonormals[pools.triangles.first_vertex[k] + sample]
-        return n[0], n[1], n[2]
+        return vector(pools.triangles.pseudonormals, pools.triangles.first_vertex[k] + sample)
     first = pools.mesh.first[k]
     if is_node(first, sample):
-        n = pools.mesh.node_normals[first[FIRST_NODE] + sample]
-        return n[0], n[1], n[2]
+        return vector(pools.mesh.node_normals, first[FIRST_NODE] + sample)
     if is_crossing(first, sample):
         edge, side = edge_of(first, sample)
-        p = pools.body.planes[pools.body.edge_plane[edge + pools.fragment.edge_shift[f]]]
-        sign = 1.0 if side == 0 else -1.0
-        return sign * p[0], sign * p[1], sign * p[2]
+        plane = pools.body.edge_plane[edge + pools.fragment.edge_shift[f]]
+        return scaled(1.0 if side == 0 else -1.0, vector(pools.body.planes, plane))
     return sum_of_planes(pools, f, ANYBODY, tetrahedron_of(first, sample))
 
 
@@ -143,52 +141,44 @@ def _face_sign(x, half):
 def _nearest_facing(pools, f, inside, point, limit, toward, scratch):
     """Nearest point of f's surface, closer than `limit` [m], whose outward normal points against `toward`.
 
-    Returns (found, x, y, z, nx, ny, nz).
+    Returns (found, point, normal).
     """
-    x, y, z = point
     kind = pools.fragment.kind[f]
     if kind == BOX:
-        return _facing_side(pools.fragment.shape[f], x, y, z, limit, toward)
+        return _facing_side(pools.fragment.shape[f], point, limit, toward)
     k = pools.fragment.mesh[f]
     if kind == TRIANGLES:
-        _, qx, qy, qz, _, i = nearest_triangle(pools.triangles, k, x, y, z, limit, toward, scratch.stack)
+        _, q, _, i = nearest_triangle(pools.triangles, k, point, limit, toward, scratch.stack)
         if i < 0:
-            return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        c = pools.triangles.corners[i]
-        nx, ny, nz = triangle_normal(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
-        return True, qx, qy, qz, nx, ny, nz
-    t = tetrahedron_at(pools.mesh, k, x, y, z)
+            return NOT_FOUND
+        return True, q, unit_normal(corners_of(pools.triangles.corners[i]))
+    t = tetrahedron_at(pools.mesh, k, point[0], point[1], point[2])
     only = (TOWARD, toward[0], toward[1], toward[2])
     if inside and t >= 0 and holds_fragment(pools, f, t):
         best = nearest_from_inside(pools, f, t, point, limit, only, scratch)
     else:
         best = nearest_from_outside(pools, f, t, point, limit, only, scratch)
     if best[5] == NO_SOURCE:
-        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    nx, ny, nz = source_normal(pools, f, best[5])
-    return True, best[1], best[2], best[3], nx, ny, nz
+        return NOT_FOUND
+    return True, (best[1], best[2], best[3]), source_normal(pools, f, best[5])
 
 
 @query_kernel
-def _facing_side(half, x, y, z, limit, toward):
+def _facing_side(half, p, limit, toward):
     """_nearest_facing for the six sides of a box of half edges `half` [m]."""
-    best = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    least = limit * limit
-    cx, cy, cz = min(max(x, -half[0]), half[0]), min(max(y, -half[1]), half[1]), min(max(z, -half[2]), half[2])
+    best, least = NOT_FOUND, limit * limit
+    x, y, z = min(max(p[0], -half[0]), half[0]), min(max(p[1], -half[1]), half[1]), min(max(p[2], -half[2]), half[2])
     for axis in range(3):
         if toward[axis] == 0.0:
             continue
         s = -1.0 if toward[axis] > 0.0 else 1.0
-        qx, qy, qz = cx, cy, cz
-        nx = ny = nz = 0.0
         if axis == 0:
-            qx, nx = s * half[0], s
+            q, n = (s * half[0], y, z), (s, 0.0, 0.0)
         elif axis == 1:
-            qy, ny = s * half[1], s
+            q, n = (x, s * half[1], z), (0.0, s, 0.0)
         else:
-            qz, nz = s * half[2], s
-        d2 = (x - qx) ** 2 + (y - qy) ** 2 + (z - qz) ** 2
-        if d2 < least:
-            least = d2
-            best = (True, qx, qy, qz, nx, ny, nz)
+            q, n = (x, y, s * half[2]), (0.0, 0.0, s)
+        away = minus(p, q)
+        if dot(away, away) < least:
+            best, least = (True, q, n), dot(away, away)
     return best

@@ -25,13 +25,23 @@ from fracture_collision.core.field.tetrahedra_near import tetrahedra_near
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import SPHERE, TETRAHEDRA, TRIANGLES, is_mesh
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW
+from fracture_collision.core.memory.vectors import (
+    corners_of,
+    divided,
+    dot,
+    minus,
+    plus_scaled,
+    scaled,
+    vector,
+    vector_at,
+)
 from fracture_collision.core.mesh.closest_point import (
     ON_FACE,
     box_distance_squared,
     closest_on_triangle,
-    triangle_normal,
+    unit_normal,
 )
-from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.mesh.cut_tetrahedron import face_corners
 from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
 from fracture_collision.core.mesh.triangle_field import triangle_distance
 
@@ -62,12 +72,8 @@ class Place(NamedTuple):
 
     is_place: bool  # whether it is a local minimum of the distance, and its triangle the first that contains it
     distance: float  # [m] signed
-    nx: float  # outward unit direction
-    ny: float
-    nz: float
-    x: float  # [m] the point
-    y: float
-    z: float
+    normal: tuple[float, float, float]  # outward unit direction
+    point: tuple[float, float, float]  # [m]
 
 
 @query_kernel
@@ -84,7 +90,7 @@ def sphere_contacts(pools, pair, rule, sink, scratch):
     """
     number = 0 if pools.fragment.kind[pair.a] == SPHERE else 1
     ball, other = (pair.a, pair.b) if number == 0 else (pair.b, pair.a)
-    center = pair.translation[number, 0], pair.translation[number, 1], pair.translation[number, 2]
+    center = vector(pair.translation, number)
     contacts, ids = sink
     radius, size = pools.fragment.shape[ball, 0], pools.fragment.radius[other]
     answer = bounded_probe(pools, other, center, radius + rule.near, math.inf, -1, False, scratch)
@@ -95,7 +101,7 @@ def sphere_contacts(pools, pair, rule, sink, scratch):
     kind, sample = pools.fragment.kind[other], NO_TRIANGLE
     if is_mesh(kind):
         sample = _first_at(pools, other, (answer.x, answer.y, answer.z), scratch)
-    nearest = Place(True, d, answer.nx, answer.ny, answer.nz, answer.x, answer.y, answer.z)
+    nearest = Place(True, d, (answer.nx, answer.ny, answer.nz), (answer.x, answer.y, answer.z))
     _put(places, 0, number, sample, center, radius, nearest)
     found, kept, bound, cut = 1, 1, 0.0, False
     if sample != NO_TRIANGLE and answer.status != INSIDE:
@@ -142,10 +148,9 @@ def sphere_contacts(pools, pair, rule, sink, scratch):
 def _put(sink, at, number, sample, center, radius, place):
     """Write the contact at a Place to row `at`."""
     row, ids = sink.contacts[at], sink.ids[at]
-    nx, ny, nz = place.nx, place.ny, place.nz
-    row[0], row[1], row[2] = center[0] - radius * nx, center[1] - radius * ny, center[2] - radius * nz
-    row[3], row[4], row[5] = place.x, place.y, place.z
-    row[6], row[7], row[8] = nx, ny, nz
+    row[0], row[1], row[2] = minus(center, scaled(radius, place.normal))
+    row[3], row[4], row[5] = place.point
+    row[6], row[7], row[8] = place.normal
     row[GAP] = place.distance - radius
     ids[ID_SIDE], ids[ID_SAMPLE] = number, sample
     ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT] = NO_SOURCE, -1, -1
@@ -155,8 +160,8 @@ def _put(sink, at, number, sample, center, radius, place):
 def _is_listed(contacts, count, place, one_place):
     """Whether one of `count` rows has its witness within `one_place` [m] of a Place."""
     for i in range(count):
-        row = contacts[i]
-        if (row[3] - place.x) ** 2 + (row[4] - place.y) ** 2 + (row[5] - place.z) ** 2 <= one_place * one_place:
+        away = minus(vector_at(contacts[i], 3), place.point)
+        if dot(away, away) <= one_place * one_place:
             return True
     return False
 
@@ -173,8 +178,7 @@ def _choose(contacts, ids, wanted, epsilon, most):
         for i in range(k, count):
             along = -math.inf
             for j in range(k):
-                a, b = contacts[i], contacts[j]
-                along = max(along, a[6] * b[6] + a[7] * b[7] + a[8] * b[8])
+                along = max(along, dot(vector_at(contacts[i], 6), vector_at(contacts[j], 6)))
             if along < least:
                 best, least = i, along
         # those between keep their order
@@ -189,31 +193,29 @@ def _choose(contacts, ids, wanted, epsilon, most):
 @query_kernel
 def _place_of(pools, f, code, center, scratch):
     """The point of f's triangle `code` nearest to a sphere's centre outside f: a Place."""
-    x, y, z = center
-    c, nx, ny, nz = _triangle(pools, f, code)
-    d2, qx, qy, qz, feature = closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
-    d = math.sqrt(d2)
-    size = pools.fragment.radius[f]
-    nothing = Place(False, d, nx, ny, nz, qx, qy, qz)
+    triangle, n = _triangle(pools, f, code)
+    d2, q, feature = closest_on_triangle(center, triangle)
+    d, away, size = math.sqrt(d2), minus(center, q), pools.fragment.radius[f]
+    nothing = Place(False, d, n, q)
     if feature == ON_FACE:
-        if not (x - qx) * nx + (y - qy) * ny + (z - qz) * nz > 0.0:
+        if not dot(away, n) > 0.0:
             return nothing
     elif not d > TOUCHES * size:
         return nothing
     nearer = d - DISTANCE_ROUNDING * (d + size)
-    _, first, least = _triangles_within(pools, f, (qx, qy, qz), TOUCHES * size, center, scratch.within[:0], scratch)
+    _, first, least = _triangles_within(pools, f, q, TOUCHES * size, center, scratch.within[:0], scratch)
     if first < code or least < nearer:
         return nothing
     if feature != ON_FACE:
-        nx, ny, nz = (x - qx) / d, (y - qy) / d, (z - qz) / d
-        step = min(BEFORE * size, 0.5 * d)
-        if _holds(pools, f, qx + step * nx, qy + step * ny, qz + step * nz, scratch):
+        n = divided(away, d)
+        if _holds(pools, f, plus_scaled(q, min(BEFORE * size, 0.5 * d), n), scratch):
             return nothing
-    return Place(True, d, nx, ny, nz, qx, qy, qz)
+    return Place(True, d, n, q)
 
 
 @query_kernel
-def _holds(pools, f, x, y, z, scratch):
+def _holds(pools, f, point, scratch):
+    x, y, z = point
     if pools.fragment.kind[f] == TETRAHEDRA:
         return inside_tetrahedron(pools, f, x, y, z) >= 0
     k, radius = pools.fragment.mesh[f], pools.fragment.radius[f]
@@ -239,27 +241,23 @@ def _number(pools, f, code):
 
 @query_kernel
 def _triangle(pools, f, code):
-    """Corners of a triangle of f's surface and its outward unit normal."""
+    """(corners, outward unit normal) of a triangle of f's surface."""
     if pools.fragment.kind[f] == TRIANGLES:
-        c = pools.triangles.corners[code]
-        nx, ny, nz = triangle_normal(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
-        return (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]), nx, ny, nz
+        triangle = corners_of(pools.triangles.corners[code])
+        return triangle, unit_normal(triangle)
     t, place = code // ROWS_EACH, code % ROWS_EACH
     if place < 4:
-        v, n = pools.mesh.tetrahedra[t], pools.mesh.nodes
-        a, b, c = n[v[FACE_VERTICES[place, 0]]], n[v[FACE_VERTICES[place, 1]]], n[v[FACE_VERTICES[place, 2]]]
-        nx, ny, nz = triangle_normal(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
-        return (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]), nx, ny, nz
+        triangle = face_corners(pools.mesh, t, place)
+        return triangle, unit_normal(triangle)
     i = pools.body.regions[t + pools.fragment.tet_shift[f], ROW] + place - 4
-    c, p = pools.body.triangles[i], pools.body.faces[i]
     sign = 1.0 if pools.body.sides[i, FRONT_SIDE] == f else -1.0
-    return (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]), sign * p[0], sign * p[1], sign * p[2]
+    return corners_of(pools.body.triangles[i]), scaled(sign, vector(pools.body.faces, i))
 
 
 @query_kernel
-def _distance(pools, f, code, x, y, z):
-    c, _, _, _ = _triangle(pools, f, code)
-    return math.sqrt(closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])[0])
+def _distance(pools, f, code, point):
+    triangle, _ = _triangle(pools, f, code)
+    return math.sqrt(closest_on_triangle(point, triangle)[0])
 
 
 @query_kernel
@@ -291,12 +289,12 @@ def _triangles_within(pools, f, point, r, center, found, scratch):
 
 @query_kernel
 def _note(pools, f, code, point, r, center, found, seen):
-    if not _distance(pools, f, code, point[0], point[1], point[2]) <= r:
+    if not _distance(pools, f, code, point) <= r:
         return seen
     count, first, least = seen
     if count < len(found):
         found[count] = code
-    return count + 1, min(first, code), min(least, _distance(pools, f, code, center[0], center[1], center[2]))
+    return count + 1, min(first, code), min(least, _distance(pools, f, code, center))
 
 
 @query_kernel

@@ -19,6 +19,7 @@ from fracture_collision.core.field.flood import (
 )
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.memory.vectors import between, divided, dot, length, plus_scaled, scaled, vector, vector_at
 from fracture_collision.core.mesh.closest_point import DIRECTION_FLOOR
 from fracture_collision.core.mesh.point_location import height, owner_in_cut
 
@@ -47,7 +48,7 @@ def turn_to_crack(pools, f, g, near, row, witness, scratch):
     between the two.
     """
     source, where, t = witness
-    x, y, z, d = row[0], row[1], row[2], row[9]
+    point, d = vector_at(row, 0), row[9]
     radius = pools.fragment.radius[f]
     if t < 0:
         return
@@ -58,23 +59,23 @@ def turn_to_crack(pools, f, g, near, row, witness, scratch):
     away = abs(d)
     if not _parts(pools, f, g, source):
         if inside:
-            best = nearest_from_inside(pools, f, t, (x, y, z), within, only, scratch)
+            best = nearest_from_inside(pools, f, t, point, within, only, scratch)
         else:
-            best = nearest_from_outside(pools, f, t, (x, y, z), max(TIMES_NEAREST * d, near), only, scratch)
+            best = nearest_from_outside(pools, f, t, point, max(TIMES_NEAREST * d, near), only, scratch)
         source, where, away = best[5], best[6], math.sqrt(best[0])
         if source == NO_SOURCE:
             return
     sign = 1.0 if inside else -1.0
-    nx, ny, nz = crack_direction(pools, f, g, source, where)
+    n = crack_direction(pools, f, g, source, where)
     # where the two just touch, keep the witness
     if abs(d) > DIRECTION_FLOOR * radius:
-        s = way_through(pools, f, t, (x, y, z), (sign * nx, sign * ny, sign * nz), within, inside, scratch)
+        s = way_through(pools, f, t, point, scaled(sign, n), within, inside, scratch)
         if s > min(within, OBLIQUE * away + LITTLE * radius):
             return
         s *= sign
-        row[3], row[4], row[5] = x + s * nx, y + s * ny, z + s * nz
+        row[3], row[4], row[5] = plus_scaled(point, s, n)
         row[9] = -s
-    row[6], row[7], row[8] = nx, ny, nz
+    row[6], row[7], row[8] = n
 
 
 @query_kernel
@@ -92,11 +93,9 @@ def crack_direction(pools, f, g, source, t):
 
     It averages the edges' planes, which are the fracture's input; the triangles only join the crossings.
     """
-    nx, ny, nz = sum_of_planes(pools, f, g, t)
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    if length == 0.0:
-        return source_normal(pools, f, source)
-    return nx / length, ny / length, nz / length
+    n = sum_of_planes(pools, f, g, t)
+    size = length(n)
+    return divided(n, size) if size != 0.0 else source_normal(pools, f, source)
 
 
 @query_kernel
@@ -104,7 +103,7 @@ def sum_of_planes(pools, f, g, t):
     """Sum of the normals, out of `f` towards `g` or ANYBODY, of the planes that cut edges of tetrahedron `t`."""
     mesh, body = pools.mesh, pools.body
     node_shift, edge_shift = pools.fragment.node_shift[f], pools.fragment.edge_shift[f]
-    sx = sy = sz = 0.0
+    total = 0.0, 0.0, 0.0
     for e in range(6):
         edge = mesh.tetrahedron_edges[t, e]
         plane = body.edge_plane[edge + edge_shift]
@@ -114,9 +113,8 @@ def sum_of_planes(pools, f, g, t):
         second = body.node_fragment[mesh.edges[edge, 1] + node_shift]
         if (first == f and (second == g or g == ANYBODY)) or (second == f and (first == g or g == ANYBODY)):
             sign = 1.0 if first == f else -1.0
-            p = body.planes[plane]
-            sx, sy, sz = sx + sign * p[0], sy + sign * p[1], sz + sign * p[2]
-    return sx, sy, sz
+            total = plus_scaled(total, sign, vector(body.planes, plane))
+    return total
 
 
 @query_kernel
@@ -126,8 +124,6 @@ def way_through(pools, f, t, point, way, limit, leaves, scratch):
     leaves: which of both. Infinity: not within `limit` [m]. Walks from tetrahedron to tetrahedron; in each it tests the
     owner of points, not polygons, so that no ray slips between two polygons.
     """
-    x, y, z = point
-    nx, ny, nz = way
     mesh, body = pools.mesh, pools.body
     tet_shift = pools.fragment.tet_shift[f]
     s, came_from = 0.0, NOWHERE
@@ -140,8 +136,8 @@ def way_through(pools, f, t, point, way, limit, leaves, scratch):
         for k in range(4):
             corner = (k + 1) % 4
             if corner:
-                w = b[4 * k] * x + b[4 * k + 1] * y + b[4 * k + 2] * z + b[4 * k + 3]
-                r = b[4 * k] * nx + b[4 * k + 1] * ny + b[4 * k + 2] * nz
+                gradient = vector_at(b, 4 * k)
+                w, r = dot(gradient, point) + b[4 * k + 3], dot(gradient, way)
                 weight, rate = weight - w, rate - r
             else:
                 w, r = weight, rate
@@ -153,8 +149,7 @@ def way_through(pools, f, t, point, way, limit, leaves, scratch):
             return math.inf
         alone = f if tet_shift == NEVER_BROKEN else body.regions[t + tet_shift, OWNER]
         if alone < 0:
-            begin = x + s * nx, y + s * ny, z + s * nz
-            end = x + out * nx, y + out * ny, z + out * nz
+            begin, end = plus_scaled(point, s, way), plus_scaled(point, out, way)
             share = _share_of_segment(pools, f, t, leaves, begin, end, scratch.roots)
             if share < 1.0:
                 s += share * (out - s)
@@ -207,7 +202,7 @@ def _share_of_segment(pools, f, t, leaves, start, end, roots):
         after = roots[i] if i < used else 1.0
         if after > before + SAME_ROOT:
             middle = 0.5 * (before + after)
-            x, y, z = x0 + middle * (x1 - x0), y0 + middle * (y1 - y0), z0 + middle * (z1 - z0)
+            x, y, z = between(start, end, middle)
             if (owner_in_cut(pools, f, t, x, y, z) == f) != leaves:
                 return before
         before = after

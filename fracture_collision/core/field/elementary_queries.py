@@ -77,7 +77,7 @@ def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
     x, y, z = point
     kind = pools.fragment.kind[f]
     if not is_mesh(kind):
-        d, nx, ny, nz = primitive_distance(kind, pools.fragment.shape[f], x, y, z)
+        d, (nx, ny, nz) = primitive_distance(kind, pools.fragment.shape[f], point)
         status = INSIDE if d <= 0.0 else NEAR if d < near else OUTSIDE
         return Probe(status, d, nx, ny, nz, x - d * nx, y - d * ny, z - d * nz, -d, NO_SOURCE, -1, -1)
     reach = math.sqrt(box_distance_squared(x, y, z, pools.fragment.box[f]))
@@ -124,7 +124,7 @@ def least_distance(pools, f, x, y, z):
     """The cheapest lower bound [m] of a point's signed distance: minus infinity if it may be inside."""
     kind = pools.fragment.kind[f]
     if not is_mesh(kind):
-        return primitive_distance(kind, pools.fragment.shape[f], x, y, z)[0]
+        return primitive_distance(kind, pools.fragment.shape[f], (x, y, z))[0]
     d2 = box_distance_squared(x, y, z, pools.fragment.box[f])
     return math.sqrt(d2) if d2 > 0.0 else -math.inf
 

@@ -17,15 +17,16 @@ from fracture_collision.core.field.tetrahedra_near import next_stamp, tetrahedra
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.heap import pop, push
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
+from fracture_collision.core.memory.vectors import corners_of, divided, dot, minus, opposite, scaled, vector
 from fracture_collision.core.mesh.closest_point import (
     DIRECTION_FLOOR,
     ON_FACE,
     ON_RIM,
     box_distance_squared,
     closest_on_triangle,
-    triangle_normal,
+    unit_normal,
 )
-from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.mesh.cut_tetrahedron import face_corners
 from fracture_collision.core.mesh.point_location import height, holds_fragment
 
 # `source`, the surface triangle of a closest point: a row of body.triangles, or -1 - (4 tetrahedron + face) on the old
@@ -101,7 +102,7 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
 
     only: see EVERYTHING.
     """
-    behind, ox, oy, oz = only
+    behind, point, toward = only[0], (x, y, z), (only[1], only[2], only[3])
     d2, qx, qy, qz, feature, source, where = best
     mesh, body = pools.mesh, pools.body
     shift = pools.fragment.tet_shift[f]
@@ -109,16 +110,12 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
         for face in range(4):
             if mesh.neighbours[t, face] >= 0 or _face_is_farther(mesh, t, face, x, y, z, d2):
                 continue
-            a = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 0]]]
-            b = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 1]]]
-            c = mesh.nodes[mesh.tetrahedra[t, FACE_VERTICES[face, 2]]]
-            if behind == TOWARD:
-                nx, ny, nz = triangle_normal(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
-                if nx * ox + ny * oy + nz * oz >= 0.0:
-                    continue
-            e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+            triangle = face_corners(mesh, t, face)
+            if behind == TOWARD and dot(unit_normal(triangle), toward) >= 0.0:
+                continue
+            e2, q, rim = closest_on_triangle(point, triangle)
             if e2 < d2:
-                d2, qx, qy, qz, feature, source, where = e2, ex, ey, ez, rim, -1 - (4 * t + face), t
+                d2, (qx, qy, qz), feature, source, where = e2, q, rim, -1 - (4 * t + face), t
     if shift == NEVER_BROKEN:
         return d2, qx, qy, qz, feature, source, where
     begin = body.regions[t + shift, ROW]
@@ -138,19 +135,17 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
                 face, farther = kind, _face_is_farther(mesh, t, kind - OLD_FACE, x, y, z, d2)
             if farther:
                 continue
-        p = body.faces[i]
         if behind >= 0 and back != behind:
             continue
-        if behind == TOWARD and sign * (p[0] * ox + p[1] * oy + p[2] * oz) >= 0.0:
+        if behind == TOWARD and sign * dot(body.faces[i], toward) >= 0.0:
             continue
         # no point of a triangle is nearer than its plane, with a margin for rounding; NaN for one without a plane
         above = height(body, i, x, y, z)
         if not above * above <= d2 * PLANE_SLACK:
             continue
-        p = body.triangles[i]
-        e2, ex, ey, ez, rim = closest_on_triangle(x, y, z, p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
+        e2, q, rim = closest_on_triangle(point, corners_of(body.triangles[i]))
         if e2 < d2:
-            d2, qx, qy, qz, feature, source, where = e2, ex, ey, ez, rim, i, t
+            d2, (qx, qy, qz), feature, source, where = e2, q, rim, i, t
     return d2, qx, qy, qz, feature, source, where
 
 
@@ -292,32 +287,24 @@ def _nearest_around(pools, f, at, point, only, scratch, best):
 def source_normal(pools, f, source):
     """Outward unit normal of f on the surface triangle `source`."""
     if source < 0:
-        t, face = (-1 - source) // 4, (-1 - source) % 4
-        v = pools.mesh.tetrahedra[t]
-        a = pools.mesh.nodes[v[FACE_VERTICES[face, 0]]]
-        b = pools.mesh.nodes[v[FACE_VERTICES[face, 1]]]
-        c = pools.mesh.nodes[v[FACE_VERTICES[face, 2]]]
-        return triangle_normal(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
-    p = pools.body.faces[source]
-    if pools.body.sides[source, FRONT_SIDE] == f:
-        return p[0], p[1], p[2]
-    return -p[0], -p[1], -p[2]
+        return unit_normal(face_corners(pools.mesh, (-1 - source) // 4, (-1 - source) % 4))
+    n = vector(pools.body.faces, source)
+    return n if pools.body.sides[source, FRONT_SIDE] == f else opposite(n)
 
 
 @query_kernel
 def outward_direction(pools, f, x, y, z, best, inside):
     """Unit direction out of f at the closest point `best`: the face normal, or at a rim the line between the points."""
     d2, qx, qy, qz, feature, source, _ = best
-    d = math.sqrt(d2)
-    away = 1.0 if inside else -1.0
+    d, away, side = math.sqrt(d2), minus((qx, qy, qz), (x, y, z)), 1.0 if inside else -1.0
     touching = d <= DIRECTION_FLOOR * pools.fragment.radius[f]
     if feature == ON_FACE or touching:
-        nx, ny, nz = source_normal(pools, f, source)
+        n = source_normal(pools, f, source)
         # of a sheet of zero thickness between two fragments either side may have been found
-        if not touching and away * (nx * (qx - x) + ny * (qy - y) + nz * (qz - z)) < 0.0:
-            nx, ny, nz = -nx, -ny, -nz
-        if nx * nx + ny * ny + nz * nz > 0.0:
-            return nx, ny, nz
+        if not touching and side * dot(n, away) < 0.0:
+            n = opposite(n)
+        if dot(n, n) > 0.0:
+            return n
     if d == 0.0:
         return 0.0, 0.0, 1.0
-    return away * (qx - x) / d, away * (qy - y) / d, away * (qz - z) / d
+    return divided(scaled(side, away), d)

@@ -16,6 +16,7 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.struct import Struct
+from fracture_collision.core.memory.vectors import dot, vector
 
 EDGE_FIRST = np.array([0, 0, 0, 1, 1, 2])
 EDGE_SECOND = np.array([1, 2, 3, 2, 3, 3])
@@ -64,11 +65,16 @@ def make_cut_scratch() -> CutScratch:
 
 
 @query_kernel
+def face_corners(mesh, t, face):
+    """The corners [m] of a face of tetrahedron `t`, counter-clockwise from outside."""
+    v, w = mesh.tetrahedra[t], FACE_VERTICES[face]
+    return vector(mesh.nodes, v[w[0]]), vector(mesh.nodes, v[w[1]]), vector(mesh.nodes, v[w[2]])
+
+
+@query_kernel
 def crossing_share(nodes, a, b, plane):
     """Share of the edge from node `a` to `b` where the plane, positive at b, crosses it: 0 .. 1."""
-    p, q = nodes[a], nodes[b]
-    at_a = plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
-    at_b = plane[0] * q[0] + plane[1] * q[1] + plane[2] * q[2] - plane[3]
+    at_a, at_b = dot(plane, vector(nodes, a)) - plane[3], dot(plane, vector(nodes, b)) - plane[3]
     return min(max(at_a / (at_a - at_b), 0.0), 1.0)
 
 

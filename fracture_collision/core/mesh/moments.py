@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.vectors import cross, dot, minus
 
 
 def tetrahedron_moments(corners: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -36,14 +37,9 @@ def tetrahedron_terms(o, a, b, c, origin):
     The volume is that of the points as they are: relative to an origin they would be rounded by its distance, which is
     not small beside the thickness of a thin body.
     """
-    ux, uy, uz = a[0] - o[0], a[1] - o[1], a[2] - o[2]
-    vx, vy, vz = b[0] - o[0], b[1] - o[1], b[2] - o[2]
-    wx, wy, wz = c[0] - o[0], c[1] - o[1], c[2] - o[2]
-    volume = (ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)) / 6.0
-    ox, oy, oz = o[0] - origin[0], o[1] - origin[1], o[2] - origin[2]
-    ax, ay, az = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
-    bx, by, bz = b[0] - origin[0], b[1] - origin[1], b[2] - origin[2]
-    cx, cy, cz = c[0] - origin[0], c[1] - origin[1], c[2] - origin[2]
+    volume = dot(minus(a, o), cross(minus(b, o), minus(c, o))) / 6.0
+    (ox, oy, oz), (ax, ay, az) = minus(o, origin), minus(a, origin)
+    (bx, by, bz), (cx, cy, cz) = minus(b, origin), minus(c, origin)
     sx, sy, sz = ox + ax + bx + cx, oy + ay + by + cy, oz + az + bz + cz
     k = volume / 20.0
     return (

@@ -8,6 +8,7 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import BOX, PLANE
+from fracture_collision.core.memory.vectors import divided, dot, length, vector_at
 
 # A box is sampled along its edges, where it penetrates faces of others; its own faces are handled in closed form. The
 # spacing, as a share of the longest edge, keeps the tree of a long shelf small and a cube's edge well covered.
@@ -15,37 +16,38 @@ BOX_EDGE_SPACING = 1.0 / 64.0
 
 
 @query_kernel
-def primitive_distance(kind, shape, x, y, z):
-    """Signed distance [m], positive outside, with the outward unit normal: (distance, nx, ny, nz).
+def primitive_distance(kind, shape, p):
+    """Signed distance [m], positive outside, with the outward unit normal: (distance, normal).
 
     `shape` (4,): plane (unit normal, offset), sphere (radius), box (half edges); the point in the body frame. The
-    closest point is x - distance n.
+    closest point is p - distance n.
     """
     if kind == PLANE:
-        return shape[0] * x + shape[1] * y + shape[2] * z - shape[3], shape[0], shape[1], shape[2]
+        return dot(shape, p) - shape[3], vector_at(shape, 0)
     if kind == BOX:
-        return _box_distance(shape, x, y, z)
-    r = math.sqrt(x * x + y * y + z * z)
+        return _box_distance(shape, p)
+    r = length(p)
     if r == 0.0:
-        return -shape[0], 0.0, 0.0, 1.0
-    return r - shape[0], x / r, y / r, z / r
+        return -shape[0], (0.0, 0.0, 1.0)
+    return r - shape[0], divided(p, r)
 
 
 @query_kernel
-def _box_distance(half, x, y, z):
+def _box_distance(half, p):
+    x, y, z = p
     ex, ey, ez = abs(x) - half[0], abs(y) - half[1], abs(z) - half[2]
     sx = 1.0 if x >= 0.0 else -1.0
     sy = 1.0 if y >= 0.0 else -1.0
     sz = 1.0 if z >= 0.0 else -1.0
     if ex <= 0.0 and ey <= 0.0 and ez <= 0.0:
         if ex >= ey and ex >= ez:
-            return ex, sx, 0.0, 0.0
+            return ex, (sx, 0.0, 0.0)
         if ey >= ez:
-            return ey, 0.0, sy, 0.0
-        return ez, 0.0, 0.0, sz
+            return ey, (0.0, sy, 0.0)
+        return ez, (0.0, 0.0, sz)
     ox, oy, oz = max(ex, 0.0), max(ey, 0.0), max(ez, 0.0)
-    d = math.sqrt(ox * ox + oy * oy + oz * oz)
-    return d, sx * ox / d, sy * oy / d, sz * oz / d
+    d = length((ox, oy, oz))
+    return d, (sx * ox / d, sy * oy / d, sz * oz / d)
 
 
 def _pieces_of_edges(half: np.ndarray) -> list[int]:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.vectors import corners_of, minus, vector_at
 from fracture_collision.core.mesh.triangle_field import build_hierarchy
 
 UNDECIDED = np.iinfo(np.int64).min
@@ -115,10 +116,9 @@ def _sign(a, b, c):
 @query_kernel
 def _crossing(c, p, d):
     """+1: the ray leaves through the triangle; -1: it enters; 0: it misses; UNDECIDED."""
-    corner_a = c[0] - p[0], c[1] - p[1], c[2] - p[2]
-    corner_b = c[3] - p[0], c[4] - p[1], c[5] - p[2]
-    corner_c = c[6] - p[0], c[7] - p[1], c[8] - p[2]
-    way = d[0], d[1], d[2]
+    corner_a, corner_b, corner_c = corners_of(c)
+    corner_a, corner_b, corner_c = minus(corner_a, p), minus(corner_b, p), minus(corner_c, p)
+    way = vector_at(d, 0)
     ab, bc, ca = _sign(way, corner_a, corner_b), _sign(way, corner_b, corner_c), _sign(way, corner_c, corner_a)
     most, least = max(ab, bc, ca), min(ab, bc, ca)
     if most > 0 and least < 0:

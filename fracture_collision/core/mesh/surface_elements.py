@@ -12,8 +12,9 @@ import numpy as np
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import BOX, TRIANGLES
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW
-from fracture_collision.core.memory.rotations import to_other
-from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
+from fracture_collision.core.memory.transforms import to_other
+from fracture_collision.core.memory.vectors import corners_of
+from fracture_collision.core.mesh.cut_tetrahedron import face_corners
 
 # The sides of a box, 2 d at the lower end of axis d and 2 d + 1 at its upper one, by their corners, counter-clockwise
 # from outside; bit d of a corner is its end along axis d.
@@ -47,38 +48,34 @@ def put_triangle(pools, f, piece, k, rotation, translation, out):
     """
     kind = pools.fragment.kind[f]
     if kind == TRIANGLES:
-        c = pools.triangles.corners[piece]
-        _put_moved(rotation, translation, c[0:3], c[3:6], c[6:9], out)
+        _put_moved(rotation, translation, corners_of(pools.triangles.corners[piece]), out)
         return True
     if kind == BOX:
         half, corners = pools.fragment.shape[f], CORNERS_OF_SIDE[piece]
         for i in range(3):
             put_box_corner(half, corners[0 if i == 0 else i + k], out[3 * i : 3 * i + 3])
-        _put_moved(rotation, translation, out[0:3], out[3:6], out[6:9], out)
+        _put_moved(rotation, translation, corners_of(out), out)
         return True
     mesh, body, shift = pools.mesh, pools.body, pools.fragment.tet_shift[f]
     if k < 4:
         if mesh.neighbours[piece, k] >= 0 or (shift != NEVER_BROKEN and body.regions[piece + shift, OWNER] != f):
             return False
-        v, w = mesh.tetrahedra[piece], FACE_VERTICES[k]
-        _put_moved(rotation, translation, mesh.nodes[v[w[0]]], mesh.nodes[v[w[1]]], mesh.nodes[v[w[2]]], out)
+        _put_moved(rotation, translation, face_corners(mesh, piece, k), out)
         return True
     i = body.regions[piece + shift, ROW] + k - 4
     if not has_triangle(body, i, f):
         return False
-    c = body.triangles[i]
-    if body.sides[i, FRONT_SIDE] == f:
-        _put_moved(rotation, translation, c[0:3], c[3:6], c[6:9], out)
-    else:
-        _put_moved(rotation, translation, c[0:3], c[6:9], c[3:6], out)
+    a, b, c = corners_of(body.triangles[i])
+    _put_moved(rotation, translation, (a, b, c) if body.sides[i, FRONT_SIDE] == f else (a, c, b), out)
     return True
 
 
 @query_kernel
-def _put_moved(rotation, translation, p, q, r, out):
-    out[0], out[1], out[2] = to_other(rotation, translation, p[0], p[1], p[2])
-    out[3], out[4], out[5] = to_other(rotation, translation, q[0], q[1], q[2])
-    out[6], out[7], out[8] = to_other(rotation, translation, r[0], r[1], r[2])
+def _put_moved(rotation, translation, triangle, out):
+    a, b, c = triangle
+    out[0], out[1], out[2] = to_other(rotation, translation, a)
+    out[3], out[4], out[5] = to_other(rotation, translation, b)
+    out[6], out[7], out[8] = to_other(rotation, translation, c)
 
 
 @query_kernel

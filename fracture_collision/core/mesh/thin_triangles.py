@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.vectors import area_vector, dot, length, minus
 from fracture_collision.geometry.unique_rows import unique_rows
 
 # A pass over all triangles may make others thin; what is left after this many stays.
@@ -105,18 +106,15 @@ def _next(h):
 
 @query_kernel
 def _square(p, q):
-    x, y, z = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    return x * x + y * y + z * z
+    side = minus(q, p)
+    return dot(side, side)
 
 
 @query_kernel
 def _shape(a, b, c):
     """(height over the longest side [m], longest side [m]) of a triangle."""
     longest = math.sqrt(max(_square(a, b), _square(b, c), _square(c, a)))
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return math.sqrt(nx * nx + ny * ny + nz * nz) / longest, longest
+    return length(area_vector((a, b, c))) / longest, longest
 
 
 @query_kernel

@@ -19,12 +19,13 @@ import numpy as np
 from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.pools import TriangleMeshPool
 from fracture_collision.core.memory.tables import Table
+from fracture_collision.core.memory.vectors import corners_of, divided, dot, minus, scaled, vector
 from fracture_collision.core.mesh.closest_point import (
     DIRECTION_FLOOR,
     ON_FACE,
     box_distance_squared,
     closest_on_triangle,
-    triangle_normal,
+    unit_normal,
 )
 from fracture_collision.portable_math import arctangent2, lengths
 
@@ -153,17 +154,17 @@ def build_hierarchy(boxes, centers):
 
 
 @query_kernel
-def nearest_triangle(meshes, k, x, y, z, limit, toward, stack):
-    """Nearest point of mesh `k` closer than `limit` [m]: (squared distance [m2], x, y, z, feature, triangle row or -1).
+def nearest_triangle(meshes, k, point, limit, toward, stack):
+    """Nearest point of mesh `k` closer than `limit` [m]: (squared distance [m2], point, feature, triangle row or -1).
 
-    `toward` (x, y, z): only triangles with an outward normal opposed to it; zeros: all. Depth first, the nearer child
+    `toward`: only triangles with an outward normal opposed to it; zeros: all. Depth first, the nearer child
     first; a box at least as far as the best so far is skipped. `stack` (STACK,) int32: working space.
     """
-    ox, oy, oz = toward
-    is_asked = ox != 0.0 or oy != 0.0 or oz != 0.0
+    x, y, z = point
+    is_asked = toward != (0.0, 0.0, 0.0)
     stack[0] = meshes.node_range[k, 0]
     top = 1
-    best, qx, qy, qz, feature, source = limit * limit, 0.0, 0.0, 0.0, 0, -1
+    best, nearest, feature, source = limit * limit, (0.0, 0.0, 0.0), 0, -1
     while top:
         top -= 1
         node = stack[top]
@@ -180,15 +181,13 @@ def nearest_triangle(meshes, k, x, y, z, limit, toward, stack):
                 top += 1
         begin = meshes.node_first[node]
         for t in range(begin, begin + meshes.node_count[node]):
-            c = meshes.corners[t]
-            if is_asked:
-                nx, ny, nz = triangle_normal(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
-                if nx * ox + ny * oy + nz * oz >= 0.0:
-                    continue
-            d2, ex, ey, ez, part = closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+            triangle = corners_of(meshes.corners[t])
+            if is_asked and dot(unit_normal(triangle), toward) >= 0.0:
+                continue
+            d2, q, part = closest_on_triangle(point, triangle)
             if d2 < best:
-                best, qx, qy, qz, feature, source = d2, ex, ey, ez, part, t
-    return best, qx, qy, qz, feature, source
+                best, nearest, feature, source = d2, q, part, t
+    return best, nearest, feature, source
 
 
 @query_kernel
@@ -202,8 +201,7 @@ def triangle_within(meshes, k, x, y, z, r):
             continue
         begin = meshes.node_first[node]
         for t in range(begin, begin + meshes.node_count[node]):
-            c = meshes.corners[t]
-            if closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])[0] <= r2:
+            if closest_on_triangle((x, y, z), corners_of(meshes.corners[t]))[0] <= r2:
                 return True
         node += 1
     return False
@@ -216,15 +214,13 @@ def triangle_distance(meshes, k, radius, x, y, z, stack):
     `radius` [m]: R of the body. The direction is the face's normal, or at an edge or corner the line between the two
     points; where these nearly coincide, the pseudonormal.
     """
-    d2, qx, qy, qz, feature, t = nearest_triangle(meshes, k, x, y, z, math.inf, (0.0, 0.0, 0.0), stack)
-    d = math.sqrt(d2)
+    d2, q, feature, t = nearest_triangle(meshes, k, (x, y, z), math.inf, (0.0, 0.0, 0.0), stack)
+    d, away = math.sqrt(d2), minus((x, y, z), q)
     if feature == ON_FACE:
-        c = meshes.corners[t]
-        nx, ny, nz = triangle_normal(c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])
+        n = unit_normal(corners_of(meshes.corners[t]))
     else:
-        n = meshes.pseudonormals[meshes.features[t, feature - 1]]
-        nx, ny, nz = n[0], n[1], n[2]
-    sign = -1.0 if (x - qx) * nx + (y - qy) * ny + (z - qz) * nz < 0.0 else 1.0
+        n = vector(meshes.pseudonormals, meshes.features[t, feature - 1])
+    sign = -1.0 if dot(away, n) < 0.0 else 1.0
     if feature != ON_FACE and d > DIRECTION_FLOOR * radius:
-        nx, ny, nz = sign * (x - qx) / d, sign * (y - qy) / d, sign * (z - qz) / d
-    return sign * d, nx, ny, nz, qx, qy, qz
+        n = divided(scaled(sign, away), d)
+    return sign * d, n[0], n[1], n[2], q[0], q[1], q[2]

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.memory.compiled import query_kernel
+from fracture_collision.core.memory.vectors import cross, dot, length, vector_at
 
 # Columns of a way [m], and a way that allows any approach.
 WAY = 8
@@ -19,10 +20,9 @@ ANY_WAY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0])
 
 
 @query_kernel
-def nearer_along(way, x, y, z):
-    """Upper bound [m] on the approach of a point along the unit vector (x, y, z) that points to it; way: its motion."""
-    wx, wy, wz = way[3], way[4], way[5]
-    cx, cy, cz = y * wz - z * wy, z * wx - x * wz, x * wy - y * wx
+def nearer_along(way, n):
+    """Upper bound [m] on the approach of a point along the unit vector n that points to it; way: its motion."""
+    turn = vector_at(way, 3)
     # rotation about the vector closes nothing along it
-    turning = min(math.sqrt(wx * wx + wy * wy + wz * wz), math.sqrt(cx * cx + cy * cy + cz * cz) + way[7])
-    return max(turning + way[6] - (x * way[0] + y * way[1] + z * way[2]), 0.0)
+    turning = min(length(turn), length(cross(n, turn)) + way[7])
+    return max(turning + way[6] - dot(n, way), 0.0)

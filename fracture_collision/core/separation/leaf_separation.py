@@ -17,7 +17,8 @@ import numpy as np
 
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import PLANE
-from fracture_collision.core.memory.rotations import rotated, to_other
+from fracture_collision.core.memory.transforms import rotated, to_other
+from fracture_collision.core.memory.vectors import area_vector, divided, dot, length, minus, opposite, plus, vector_at
 from fracture_collision.core.mesh.closest_point import closest_on_triangle
 from fracture_collision.core.samples.sample_leaves import farthest_sample, sample_about_middle
 from fracture_collision.core.separation.approach import nearer_along
@@ -28,6 +29,7 @@ from fracture_collision.core.separation.oriented_boxes import way_between
 MOST_STEPS = 12
 # GJK ends when the possible gain is less than this share of the distance.
 SETTLED = 1e-3
+_ORIGIN = 0.0, 0.0, 0.0
 
 
 @query_kernel
@@ -43,38 +45,33 @@ def parting_plane_of_leaves(pools, pair, leaves, distance, toward, bounds, most_
     """
     a, b, rotation, translation = pair
     of_a, of_b = leaves
-    ax, ay, az = to_other(rotation[0], translation[0], of_a.middle[0], of_a.middle[1], of_a.middle[2])
+    middle = to_other(rotation[0], translation[0], of_a.middle)
     # from b's middle to a's, in b's frame
-    mx, my, mz = ax - of_b.middle[0], ay - of_b.middle[1], az - of_b.middle[2]
-    v = (toward[0], toward[1], toward[2])
-    if v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0:
+    m, v = minus(middle, of_b.middle), vector_at(toward, 0)
+    if v == _ORIGIN:
         v = way_between(pools.fragment.box[a], pools.fragment.box[b], rotation[0], translation[0])
     k0, k1, k2 = v, v, v
     found, best, best_low, best_high = v, -math.inf, 0.0, 0.0
     at_a = at_b = 0
     for step in range(most_steps):
-        length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-        if not length > 0.0:
+        apart = length(v)
+        if not apart > 0.0:
             break
-        n = v[0] / length, v[1] / length, v[2] / length
-        own = rotated(rotation[1], -n[0], -n[1], -n[2])
-        at_a, reach_a = farthest_sample(of_a, own, at_a, bounds)
+        n = divided(v, apart)
+        at_a, reach_a = farthest_sample(of_a, rotated(rotation[1], opposite(n)), at_a, bounds)
         at_b, reach_b = farthest_sample(of_b, n, at_b, bounds)
-        low = n[0] * ax + n[1] * ay + n[2] * az - reach_a
-        high = n[0] * of_b.middle[0] + n[1] * of_b.middle[1] + n[2] * of_b.middle[2] + reach_b
+        low, high = dot(n, middle) - reach_a, dot(n, of_b.middle) + reach_b
         along = low - high
         if along > best:
             best, found, best_low, best_high = along, n, low, high
         if along > distance:
             break
-        px, py, pz = sample_about_middle(of_a, at_a)
-        px, py, pz = rotated(rotation[0], px, py, pz)
-        qx, qy, qz = sample_about_middle(of_b, at_b)
-        new = mx + px - qx, my + py - qy, mz + pz - qz
+        p, q = rotated(rotation[0], sample_about_middle(of_a, at_a)), sample_about_middle(of_b, at_b)
+        new = minus(plus(m, p), q)
         if step == 0:
             k0, k1, k2, v = new, new, new, new
             continue
-        if length - along <= SETTLED * length or encloses_origin(new, k0, k1, k2):
+        if apart - along <= SETTLED * apart or encloses_origin(new, k0, k1, k2):
             break
         v, k0, k1, k2 = next_simplex(new, k0, k1, k2)
     toward[0], toward[1], toward[2] = found
@@ -87,16 +84,16 @@ def parting_plane_of_leaves(pools, pair, leaves, distance, toward, bounds, most_
 def next_simplex(new, k0, k1, k2):
     """Of the triangles formed by `new` and two of the corners k0, k1, k2, the one nearest to the origin.
 
-    Returns (its nearest point (x, y, z), its three corners).
+    Returns (its nearest point, its three corners).
     """
-    least, x, y, z, _ = _nearest_to_origin(new, k0, k1)
-    v, dropped = (x, y, z), 2
-    nearer, x, y, z, _ = _nearest_to_origin(new, k1, k2)
+    least, v, _ = closest_on_triangle(_ORIGIN, (new, k0, k1))
+    dropped = 2
+    nearer, w, _ = closest_on_triangle(_ORIGIN, (new, k1, k2))
     if nearer < least:
-        least, v, dropped = nearer, (x, y, z), 0
-    nearer, x, y, z, _ = _nearest_to_origin(new, k0, k2)
+        least, v, dropped = nearer, w, 0
+    nearer, w, _ = closest_on_triangle(_ORIGIN, (new, k0, k2))
     if nearer < least:
-        v, dropped = (x, y, z), 1
+        v, dropped = w, 1
     if dropped == 0:
         return v, new, k1, k2
     if dropped == 1:
@@ -105,27 +102,16 @@ def next_simplex(new, k0, k1, k2):
 
 
 @query_kernel
-def _nearest_to_origin(a, b, c):
-    return closest_on_triangle(0.0, 0.0, 0.0, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
-
-
-@query_kernel
 def encloses_origin(new, k0, k1, k2):
     """Whether the tetrahedron encloses the origin, known not to be beyond the face opposite its newest corner."""
-    return (
-        _same_side(new, k0, k1, k2) and _same_side(new, k1, k2, k0) and _same_side(new, k2, k0, k1)
-    )  # fmt: skip
+    return _same_side(new, k0, k1, k2) and _same_side(new, k1, k2, k0) and _same_side(new, k2, k0, k1)
 
 
 @query_kernel
 def _same_side(a, b, c, d):
     """Whether the origin and d are on one side of the plane through a, b, c."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    wx, wy, wz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-    of_origin = nx * a[0] + ny * a[1] + nz * a[2]
-    of_d = nx * (a[0] - d[0]) + ny * (a[1] - d[1]) + nz * (a[2] - d[2])
-    return of_origin * of_d > 0.0
+    n = area_vector((a, b, c))
+    return dot(n, a) * dot(n, minus(a, d)) > 0.0
 
 
 class Approach(NamedTuple):
@@ -146,20 +132,19 @@ def half_spaces(pools, pair, side, middle, approach, planes):
     """
     other = pair.b if side == 0 else pair.a
     kind, box, used = pools.fragment.kind[other], pools.fragment.box[other], 0
-    m = to_other(pair.rotation[side], pair.translation[side], middle[0], middle[1], middle[2])
+    m = to_other(pair.rotation[side], pair.translation[side], middle)
     within = approach.within + middle[3]
     back = pair.rotation[1 - side]
     if kind == PLANE:
         shape = pools.fragment.shape[other]
-        n = shape[0], shape[1], shape[2]
-        return _put_half_space(back, n, shape[3] + within, approach, m, planes, 0)
+        return _put_half_space(back, vector_at(shape, 0), shape[3] + within, approach, m, planes, 0)
     x, y, z, offset = approach.plane
     if x != 0.0 or y != 0.0 or z != 0.0:  # most samples are beyond this one
         used = _put_half_space(back, (x, y, z), offset + within, approach, m, planes, used)
     for d in range(3):
-        x, y, z = 1.0 if d == 0 else 0.0, 1.0 if d == 1 else 0.0, 1.0 if d == 2 else 0.0
-        used = _put_half_space(back, (x, y, z), box[d + 3] + within, approach, m, planes, used)
-        used = _put_half_space(back, (-x, -y, -z), -box[d] + within, approach, m, planes, used)
+        axis = 1.0 if d == 0 else 0.0, 1.0 if d == 1 else 0.0, 1.0 if d == 2 else 0.0
+        used = _put_half_space(back, axis, box[d + 3] + within, approach, m, planes, used)
+        used = _put_half_space(back, opposite(axis), -box[d] + within, approach, m, planes, used)
     return used
 
 
@@ -170,10 +155,9 @@ def _put_half_space(back, normal, offset, approach, m, planes, row):
     m: own's middle in the other's frame; back (3, 3): rotation to own's frame, where the row is relative to that
     middle. Returns the next row.
     """
-    nx, ny, nz = normal
     if approach.reach > 0.0:
-        offset += min(approach.reach, nearer_along(approach.way, nx, ny, nz))
-    x, y, z = rotated(back, nx, ny, nz)
+        offset += min(approach.reach, nearer_along(approach.way, normal))
+    x, y, z = rotated(back, normal)
     planes[row, 0], planes[row, 1], planes[row, 2] = np.float32(x), np.float32(y), np.float32(z)
-    planes[row, 3] = np.float32(offset - (nx * m[0] + ny * m[1] + nz * m[2]))
+    planes[row, 3] = np.float32(offset - dot(normal, m))
     return row + 1

@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 from fracture_collision.core.memory.compiled import query_kernel
-from fracture_collision.core.memory.rotations import to_other
+from fracture_collision.core.memory.transforms import to_other
+from fracture_collision.core.memory.vectors import minus
 
 # Two axes with a shorter cross product are parallel; the axes themselves cover what the product would separate.
 PARALLEL = 1e-6
@@ -17,10 +18,12 @@ PARALLEL = 1e-6
 @query_kernel
 def way_between(box_a, box_b, rotation, translation):
     """From the centre of b's box to that of a's, in b's frame; rotation, translation: from a's frame to b's."""
-    x, y, z = to_other(
-        rotation, translation, 0.5 * (box_a[0] + box_a[3]), 0.5 * (box_a[1] + box_a[4]), 0.5 * (box_a[2] + box_a[5])
-    )
-    return x - 0.5 * (box_b[0] + box_b[3]), y - 0.5 * (box_b[1] + box_b[4]), z - 0.5 * (box_b[2] + box_b[5])
+    return minus(to_other(rotation, translation, _center(box_a)), _center(box_b))
+
+
+@query_kernel
+def _center(box):
+    return 0.5 * (box[0] + box[3]), 0.5 * (box[1] + box[4]), 0.5 * (box[2] + box[5])
 
 
 @query_kernel
