@@ -116,7 +116,7 @@ def test_the_direction_is_that_of_least_overlap() -> None:
             continue
         overlapping += 1
         assert not parting.is_apart
-        n = poses[1][0] @ [parting.x, parting.y, parting.z]
+        n = poses[1][0] @ parting.direction
         assert parting.now == pytest.approx(apart_along(of_a, of_b, n), abs=1e-12)
         assert parting.now == pytest.approx(facets[:, 3].max(), abs=1e-8)
         assert parting.end == pytest.approx(parting.now, abs=1e-12)

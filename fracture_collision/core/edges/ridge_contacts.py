@@ -31,7 +31,8 @@ from fracture_collision.core.field.elementary_queries import INSIDE, Probe
 from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import LEAF
-from fracture_collision.core.memory.rotations import rotated, to_other
+from fracture_collision.core.memory.transforms import rotated, to_other
+from fracture_collision.core.memory.vectors import distance, vector_at
 from fracture_collision.core.mesh.closest_point import segment_distance
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_RIDGES
 from fracture_collision.core.separation.leaf_separation import Approach
@@ -100,8 +101,7 @@ def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch)
     margin, excess, lanes = farthest + reach + slack, work.excess, work.lanes
     m = pools.fragment.middle[b]
     size = 2.0 * (_half_diagonal(pools.fragment.box[a]) + _half_diagonal(pools.fragment.box[b]))
-    origin = pools.fragment.middle[a]
-    origin = to_other(rotation[0], translation[0], origin[0], origin[1], origin[2])
+    origin = to_other(rotation[0], translation[0], pools.fragment.middle[a])
     around, enough = margin + ROUNDING * size, MATTERS * listing.shallow * (1.0 - ROUNDING)
     window = Window(margin, reach, turn, farthest, size, enough)
     group, first_of_group, near_leaves = -1, 0, 0
@@ -184,20 +184,20 @@ def _deepest(pools, a, b, separation):
 
 @query_kernel
 def _half_diagonal(box):
-    return 0.5 * math.sqrt((box[3] - box[0]) ** 2 + (box[4] - box[1]) ** 2 + (box[5] - box[2]) ** 2)
+    return 0.5 * distance(vector_at(box, 3), box)
 
 
 @query_kernel
 def _carry_ends(own, rotation, translation, row):
     for k in range(BEGIN, END + 3, 3):
-        row[k], row[k + 1], row[k + 2] = to_other(rotation, translation, own[k], own[k + 1], own[k + 2])
+        row[k], row[k + 1], row[k + 2] = to_other(rotation, translation, vector_at(own, k))
 
 
 @query_kernel
 def _carry_ridge(own, rotation, translation, row):
     _carry_ends(own, rotation, translation, row)
     for k in range(FIRST_FACE, OUTWARD + 3, 3):
-        row[k], row[k + 1], row[k + 2] = rotated(rotation, own[k], own[k + 1], own[k + 2])
+        row[k], row[k + 1], row[k + 2] = rotated(rotation, vector_at(own, k))
     row[LENGTH], row[TURN] = own[LENGTH], own[TURN]
 
 
@@ -221,5 +221,5 @@ def _add(pools, pair, ridges, rule, limits, found, scratch):
     scratch.spread[MOST_DEPTH, count] = max(-gap, 0.0)
     number = FIRST_OF_RIDGES + RIDGES_EACH * ridges.i + ridges.j
     answer = Probe(INSIDE, gap, c[6], c[7], c[8], c[3], c[4], c[5], -gap, NO_SOURCE, -1, -1)
-    put_contact(scratch.kept, count, 0, number, (c[0], c[1], c[2]), answer)
+    put_contact(scratch.kept, count, 0, number, vector_at(c, 0), answer)
     return count + 1, deep + (gap < -rule.epsilon)

@@ -8,12 +8,22 @@ contact.
 
 from __future__ import annotations
 
-import math
-
-from fracture_collision.core.edges.ridges import LENGTH, TURN
+from fracture_collision.core.edges.ridges import END, FIRST_FACE, LENGTH, OUTWARD, SECOND_FACE, TURN
 from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
 from fracture_collision.core.memory.compiled import query_kernel
-from fracture_collision.core.memory.rotations import to_other
+from fracture_collision.core.memory.transforms import to_other
+from fracture_collision.core.memory.vectors import (
+    cross,
+    distance,
+    divided,
+    dot,
+    length,
+    minus,
+    opposite,
+    plus_scaled,
+    scaled,
+    vector_at,
+)
 
 # Edges at less than 3 degrees have no direction across both: samples at their ends give the contacts.
 LEAST_SINE = 0.05
@@ -49,38 +59,41 @@ def may_cross(r, s, shallow, near, deep, turn):
     """
     if not matters(r, s, shallow):
         return False
-    nx, ny, nz, sine, along = _across(r, s)
+    n, sine, along = _across(r, s)
     if not sine > 0.0:
         return True
     room = BEYOND_FACE + turn + OF_TURN * turn / min(sine, max(sine - turn, LEAST_SINE))
     # either sign: which one applies depends on the rotation
-    if -deep <= along <= near and _points_out(r, s, nx, ny, nz, room):
+    if -deep <= along <= near and _points_out(r, s, n, room):
         return True
-    return -deep <= -along <= near and _points_out(r, s, -nx, -ny, -nz, room)
+    return -deep <= -along <= near and _points_out(r, s, opposite(n), room)
 
 
 @query_kernel
 def _across(r, s):
     """Direction across ridges r and s, and their distance along it.
 
-    Returns (x, y, z, sine, along): a unit vector, the sine between the ridges, and the distance [m] of r's line from
+    Returns (direction, sine, along): a unit vector, the sine between the ridges, and the distance [m] of r's line from
     the line of s along the vector.
     """
-    ux, uy, uz = r[3] - r[0], r[4] - r[1], r[5] - r[2]
-    vx, vy, vz = s[3] - s[0], s[4] - s[1], s[5] - s[2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    nx, ny, nz = nx / length, ny / length, nz / length
-    along = nx * (r[0] - s[0]) + ny * (r[1] - s[1]) + nz * (r[2] - s[2])
-    return nx, ny, nz, length / (r[LENGTH] * s[LENGTH]), along
+    n = cross(minus(vector_at(r, END), r), minus(vector_at(s, END), s))
+    size = length(n)
+    n = divided(n, size)
+    return n, size / (r[LENGTH] * s[LENGTH]), dot(n, minus(r, s))
 
 
 @query_kernel
-def _points_out(r, s, nx, ny, nz, room):
+def _direction(r):
+    """Unit vector along a ridge."""
+    return divided(minus(vector_at(r, END), r), r[LENGTH])
+
+
+@query_kernel
+def _points_out(r, s, n, room):
     """Whether a direction points out of the fragment of s at its ridge, and into that of r at its own."""
     return (
-        nx * s[6] + ny * s[7] + nz * s[8] <= room and nx * s[9] + ny * s[10] + nz * s[11] <= room
-        and nx * r[6] + ny * r[7] + nz * r[8] >= -room and nx * r[9] + ny * r[10] + nz * r[11] >= -room
+        dot(n, vector_at(s, FIRST_FACE)) <= room and dot(n, vector_at(s, SECOND_FACE)) <= room
+        and dot(n, vector_at(r, FIRST_FACE)) >= -room and dot(n, vector_at(r, SECOND_FACE)) >= -room
     )  # fmt: skip
 
 
@@ -93,26 +106,24 @@ def crossing(r, s, shallow, near, deep, out):
     """
     if not matters(r, s, shallow):
         return False
-    nx, ny, nz, sine, gap = _across(r, s)
+    n, sine, gap = _across(r, s)
     if not sine >= LEAST_SINE:
         return False
-    if nx * (s[12] - r[12]) + ny * (s[13] - r[13]) + nz * (s[14] - r[14]) < 0.0:
-        nx, ny, nz, gap = -nx, -ny, -nz, -gap
-    if not -deep <= gap <= near or not _points_out(r, s, nx, ny, nz, BEYOND_FACE):
+    if dot(n, minus(vector_at(s, OUTWARD), vector_at(r, OUTWARD))) < 0.0:
+        n, gap = opposite(n), -gap
+    if not -deep <= gap <= near or not _points_out(r, s, n, BEYOND_FACE):
         return False
-    ux, uy, uz = (r[3] - r[0]) / r[LENGTH], (r[4] - r[1]) / r[LENGTH], (r[5] - r[2]) / r[LENGTH]
-    vx, vy, vz = (s[3] - s[0]) / s[LENGTH], (s[4] - s[1]) / s[LENGTH], (s[5] - s[2]) / s[LENGTH]
-    wx, wy, wz = r[0] - s[0], r[1] - s[1], r[2] - s[2]
-    uv, uw, vw = ux * vx + uy * vy + uz * vz, ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
-    n2 = sine * sine
+    u, v, w = _direction(r), _direction(s), minus(r, s)
+    uv, uw, vw, n2 = dot(u, v), dot(u, w), dot(v, w), sine * sine
     k, l = (uv * vw - uw) / n2, (vw - uv * uw) / n2  # noqa: E741
     if not (abs(k - 0.5 * r[LENGTH]) <= (0.5 + ON_END) * r[LENGTH]):
         return False
     if not (abs(l - 0.5 * s[LENGTH]) <= (0.5 + ON_END) * s[LENGTH]):
         return False
-    out[0], out[1], out[2] = r[0] + k * ux, r[1] + k * uy, r[2] + k * uz
-    out[3], out[4], out[5] = s[0] + l * vx, s[1] + l * vy, s[2] + l * vz
-    out[6], out[7], out[8], out[9] = nx, ny, nz, gap
+    out[0], out[1], out[2] = plus_scaled(r, k, u)
+    out[3], out[4], out[5] = plus_scaled(s, l, v)
+    out[6], out[7], out[8] = n
+    out[9] = gap
     return True
 
 
@@ -123,13 +134,10 @@ def _into_wedge(r, s, k, n, deep):
     k [m]: distance of the crossing's foot from r's begin; n: out of s; deep [m]: depth of the crossing. Returns
     (distance along r from that foot [m], how far r is behind the nearer face there [m]).
     """
-    ux, uy, uz = (r[3] - r[0]) / r[LENGTH], (r[4] - r[1]) / r[LENGTH], (r[5] - r[2]) / r[LENGTH]
-    vx, vy, vz = (s[3] - s[0]) / s[LENGTH], (s[4] - s[1]) / s[LENGTH], (s[5] - s[2]) / s[LENGTH]
+    u, v = _direction(r), _direction(s)
     # normals of the faces: along the ridge the first is on its left
-    fx, fy, fz = vy * s[8] - vz * s[7], vz * s[6] - vx * s[8], vx * s[7] - vy * s[6]
-    gx, gy, gz = s[10] * vz - s[11] * vy, s[11] * vx - s[9] * vz, s[9] * vy - s[10] * vx
-    one, other = deep * (fx * n[0] + fy * n[1] + fz * n[2]), deep * (gx * n[0] + gy * n[1] + gz * n[2])
-    rate, rate_of_other = -(fx * ux + fy * uy + fz * uz), -(gx * ux + gy * uy + gz * uz)
+    f, g = cross(v, vector_at(s, FIRST_FACE)), cross(vector_at(s, SECOND_FACE), v)
+    one, other, rate, rate_of_other = deep * dot(f, n), deep * dot(g, n), -dot(f, u), -dot(g, u)
     if other < one:
         one, other, rate, rate_of_other = other, one, rate_of_other, rate
     if one >= 0.5 * deep or rate == 0.0:
@@ -151,16 +159,15 @@ def overlap(pools, pair, r, s, c, scratch):
     """
     for side in range(2):
         own, other, f, at, sign = (r, s, pair.b, 0, 1.0) if side == 0 else (s, r, pair.a, 3, -1.0)
-        k = math.sqrt((c[at] - own[0]) ** 2 + (c[at + 1] - own[1]) ** 2 + (c[at + 2] - own[2]) ** 2)
-        way, behind = _into_wedge(own, other, k, (sign * c[6], sign * c[7], sign * c[8]), -c[9])
+        foot = vector_at(c, at)
+        way, behind = _into_wedge(own, other, distance(foot, own), scaled(sign, vector_at(c, 6)), -c[9])
         if not behind > 0.0:
             return False
-        part, least = way / own[LENGTH], REALLY * behind
-        x, y, z = c[at], c[at + 1], c[at + 2]
-        x, y, z = x + part * (own[3] - own[0]), y + part * (own[4] - own[1]), z + part * (own[5] - own[2])
+        least = REALLY * behind
+        p = plus_scaled(foot, way / own[LENGTH], minus(vector_at(own, END), own))
         if side == 1:
-            x, y, z = to_other(pair.rotation[1], pair.translation[1], x, y, z)
-        answer = bounded_probe(pools, f, (x, y, z), 0.0, least, -1, False, scratch)
+            p = to_other(pair.rotation[1], pair.translation[1], p)
+        answer = bounded_probe(pools, f, p, 0.0, least, -1, False, scratch)
         if answer.status != INSIDE or answer.distance > -least:
             return False
     return True

@@ -12,7 +12,8 @@ from fracture_collision.core.edges.ridge_work import BOX_AND_MOST
 from fracture_collision.core.edges.ridges import ALONG, LINE_BEGIN, LINE_LENGTH, LINE_TURN
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import LEAF
-from fracture_collision.core.memory.rotations import rotated
+from fracture_collision.core.memory.transforms import rotated, to_other
+from fracture_collision.core.memory.vectors import plus_scaled
 from fracture_collision.core.samples.sample_leaves import Leaves, worst_of_leaves
 from fracture_collision.core.separation.leaf_separation import half_spaces
 
@@ -110,11 +111,11 @@ def carry_leaf(lines, of, rotation, origin, ends):
         if of[k] // LEAF != leaf:
             break
         row, lane = ends[k], of[k] % LEAF
-        x, y, z = rotated(rotation, lines[LINE_BEGIN, lane], lines[LINE_BEGIN + 1, lane], lines[LINE_BEGIN + 2, lane])
-        row[0], row[1], row[2] = x + origin[0], y + origin[1], z + origin[2]
+        begin = lines[LINE_BEGIN, lane], lines[LINE_BEGIN + 1, lane], lines[LINE_BEGIN + 2, lane]
+        along = lines[ALONG, lane], lines[ALONG + 1, lane], lines[ALONG + 2, lane]
+        row[0], row[1], row[2] = to_other(rotation, origin, begin)
         row[6], row[7] = lines[LINE_LENGTH, lane], lines[LINE_TURN, lane]
-        x, y, z = rotated(rotation, lines[ALONG, lane], lines[ALONG + 1, lane], lines[ALONG + 2, lane])
-        row[3], row[4], row[5] = row[0] + row[6] * x, row[1] + row[6] * y, row[2] + row[6] * z
+        row[3], row[4], row[5] = plus_scaled(row, row[6], rotated(rotation, along))
         for d in range(3):
             box[d] = min(box[d], row[d], row[3 + d])
             box[3 + d] = max(box[3 + d], row[d], row[3 + d])

@@ -15,6 +15,18 @@ from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.pools import FRAGMENT, LEAF, Pools
 from fracture_collision.core.memory.struct import Struct
 from fracture_collision.core.memory.tables import Column, Table
+from fracture_collision.core.memory.vectors import (
+    area_vector,
+    corners_of,
+    cross,
+    divided,
+    dot,
+    hash_of,
+    length,
+    minus,
+    plus,
+    vector_at,
+)
 from fracture_collision.core.samples.sample_leaves import place_on_curve
 
 # Minimum turn of the surface at a ridge (chord of the angle), and minimum length as a share of R: where flatter or
@@ -93,77 +105,52 @@ def find_ridges(triangles, radius, out):
     seen, is_open = np.empty((edges, 12)), np.ones(edges, np.bool_)
     count, used = 0, 0
     for c in triangles:
-        nx, ny, nz, length = _normal(c)
-        if not length > 0.0:
+        n = area_vector(corners_of(c))
+        area = length(n)
+        if not area > 0.0:
             continue
+        n = divided(n, area)
         for i in range(3):
-            p, q = c[3 * i : 3 * i + 3], c[3 * ((i + 1) % 3) : 3 * ((i + 1) % 3) + 3]
-            tx, ty, tz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-            length = math.sqrt(tx * tx + ty * ty + tz * tz)
-            if not length > 0.0:
+            p, q = vector_at(c, 3 * i), vector_at(c, 3 * ((i + 1) % 3))
+            size = length(minus(q, p))
+            if not size > 0.0:
                 continue
-            tx, ty, tz = tx / length, ty / length, tz / length
-            x, y, z = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-            place = _hash(p[0] + q[0], p[1] + q[1], p[2] + q[2]) & (places - 1)
+            inward = cross(n, divided(minus(q, p), size))
+            place = hash_of(plus(p, q)) & (places - 1)
             while seen_at[place] >= 0 and not (
                 is_open[seen_at[place]] and _is_reverse(seen[seen_at[place]], p, q)
             ):
                 place = (place + 1) & (places - 1)
             if seen_at[place] < 0:
                 seen_at[place], r = count, seen[count]
-                for d in range(3):
-                    r[d], r[3 + d] = p[d], q[d]
-                r[6], r[7], r[8], r[9], r[10], r[11] = x, y, z, nx, ny, nz
+                r[0], r[1], r[2] = p
+                r[3], r[4], r[5] = q
+                r[6], r[7], r[8] = inward
+                r[9], r[10], r[11] = n
                 count += 1
                 continue
             r = seen[seen_at[place]]
             is_open[seen_at[place]] = False
-            turn = math.sqrt(max(2.0 * (1.0 + x * r[6] + y * r[7] + z * r[8]), 0.0))
-            falls_away = x * r[9] + y * r[10] + z * r[11] < 0.0
-            if not falls_away or turn < LEAST_TURN or length < LEAST_LENGTH * radius:
+            turn = math.sqrt(max(2.0 * (1.0 + inward[0] * r[6] + inward[1] * r[7] + inward[2] * r[8]), 0.0))
+            falls_away = dot(inward, vector_at(r, 9)) < 0.0
+            if not falls_away or turn < LEAST_TURN or size < LEAST_LENGTH * radius:
                 continue
             if used < len(out):
                 row = out[used]
                 for d in range(9):
                     row[d] = r[d]
-                row[9], row[10], row[11] = x, y, z
+                row[9], row[10], row[11] = inward
                 # where the faces fold back there is no half-way normal
-                ox, oy, oz = r[9] + nx - r[6] - x, r[10] + ny - r[7] - y, r[11] + nz - r[8] - z
-                far = math.sqrt(ox * ox + oy * oy + oz * oz)
-                row[12], row[13], row[14] = ox / far, oy / far, oz / far
-                row[LENGTH], row[TURN] = length, turn
+                outward = minus(minus(plus(vector_at(r, 9), n), vector_at(r, 6)), inward)
+                row[12], row[13], row[14] = divided(outward, length(outward))
+                row[LENGTH], row[TURN] = size, turn
             used += 1
     return used
 
 
 @query_kernel
-def _normal(c):
-    """Unit normal (x, y, z) of a triangle (9,), and its length before normalisation."""
-    ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
-    vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    return nx / length, ny / length, nz / length, length
-
-
-@query_kernel
 def _is_reverse(row, p, q):
-    return (
-        row[0] == q[0] and row[1] == q[1] and row[2] == q[2] and row[3] == p[0] and row[4] == p[1] and row[5] == p[2]
-    )
-
-
-@query_kernel
-def _hash(x, y, z):
-    h = _bits(x) * 0x1F7B1EA1 ^ _bits(y) * 0x2545F491 ^ _bits(z) * 0x5851F42D
-    h = (h ^ (h >> 33)) * 0x62A9D9ED799705F5
-    return h ^ (h >> 29)
-
-
-@query_kernel
-def _bits(x):
-    """Bits of a number; both zeros have the same."""
-    return np.float64(x + 0.0).view(np.int64)
+    return vector_at(row, 0) == q and vector_at(row, 3) == p
 
 
 @kernel

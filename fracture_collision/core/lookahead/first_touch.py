@@ -37,7 +37,8 @@ from fracture_collision.core.lookahead.staying_apart import (
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import SPHERE
 from fracture_collision.core.memory.pair import Sink
-from fracture_collision.core.memory.rotations import rotated
+from fracture_collision.core.memory.transforms import rotated
+from fracture_collision.core.memory.vectors import vector
 from fracture_collision.core.search.neighbour_lists import MOST_AHEAD, NEAR_LAST, UNTIL, Listing, least_left
 from fracture_collision.core.search.sample_search import may_search, query_listed, search_samples
 from fracture_collision.core.separation.approach import WAY
@@ -124,16 +125,16 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
     for moment in range(MOST_MOMENTS):
         put_poses(moving, t, of_world, place, pair)
         far, step = speed * left, 0.0
-        gap, nx, ny, nz = -math.inf, 0.0, 0.0, 0.0
+        gap, n = -math.inf, (0.0, 0.0, 0.0)
         is_known = touches and moment == 0
         if (listed.samples < 0 or listed.lasts <= 0.0) and apart and not is_known:
-            gap, nx, ny, nz = gap_of_hulls(pools, pair, far, toward, scratch)
+            gap, n = gap_of_hulls(pools, pair, far, toward, scratch)
         if gap > rule.near:
-            x, y, z = rotated(of_world[1], nx, ny, nz)
-            closing = min(closing_along(motion, i, j, t, left, x, y, z), speed)
+            n = rotated(of_world[1], n)
+            closing = min(closing_along(motion, i, j, t, left, n), speed)
             if gap + rule.epsilon > closing * left:
                 return new, t, visits, unseen
-            n, slack = (x, y, z), rounding_slack(pools, a, b, translation)
+            slack = rounding_slack(pools, a, b, translation)
             least = least_gap_ahead(pools, pair, moving, t, gap, n, slack, scratch)
             if least > -rule.epsilon:
                 return new, t, visits, unseen
@@ -249,9 +250,9 @@ def _drop_near(samples, places, count):
 @query_kernel
 def _clearance_of_sphere(pools, a, b, translation, near, far, scratch):
     """Lower bound [m] of the clearance beyond `near` between a sphere and another fragment, up to `far`; 0: none."""
-    sphere, other, p = (a, b, translation[0]) if pools.fragment.kind[a] == SPHERE else (b, a, translation[1])
+    sphere, other, side = (a, b, 0) if pools.fragment.kind[a] == SPHERE else (b, a, 1)
     around = pools.fragment.radius[sphere] + near
-    answer = bounded_probe(pools, other, (p[0], p[1], p[2]), around + far, 0.0, -1, False, scratch)
+    answer = bounded_probe(pools, other, vector(translation, side), around + far, 0.0, -1, False, scratch)
     if answer.status == INSIDE:
         return 0.0
     return max(answer.distance - around, 0.0)

@@ -8,7 +8,9 @@ from fracture_collision.core.contacts.known_samples import ID_SAMPLE, ID_SIDE
 from fracture_collision.core.lookahead.motion import put_pose
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import SPHERE
-from fracture_collision.core.memory.rotations import relative_pose, rotated, to_other, turned_back
+from fracture_collision.core.memory.rotations import relative_pose
+from fracture_collision.core.memory.transforms import rotated, to_other, turned_back
+from fracture_collision.core.memory.vectors import dot, minus, vector_at
 
 
 @query_kernel
@@ -58,11 +60,10 @@ def gap_then(sink, begin, end, moving, pair):
     for c in range(begin, end):
         side, row = ids[c, ID_SIDE], contacts[c]
         own, other = (i, j) if side == 0 else (j, i)
-        x, y, z = to_other(rotations[other], positions[other], row[0], row[1], row[2])
-        p = positions[own]
-        x, y, z = turned_back(rotations[own], x - p[0], y - p[1], z - p[2])
-        x, y, z = to_other(rotation[side], translation[side], x, y, z)
-        least = min(least, row[6] * (x - row[3]) + row[7] * (y - row[4]) + row[8] * (z - row[5]))
+        p = to_other(rotations[other], positions[other], row)
+        p = turned_back(rotations[own], minus(p, positions[own]))
+        p = to_other(rotation[side], translation[side], p)
+        least = min(least, dot(vector_at(row, 6), minus(p, vector_at(row, 3))))
     return least
 
 
@@ -81,16 +82,14 @@ def bring_back(pools, moving, of_world, pair, sink, count):
     for c in range(count):
         side, row = ids[c, ID_SIDE], contacts[c]
         own, other = (i, j) if side == 0 else (j, i)
-        x, y, z = to_other(rotation[1 - side], translation[1 - side], row[0], row[1], row[2])
+        p = to_other(rotation[1 - side], translation[1 - side], row)
         if pools.fragment.kind[pair.a if side == 0 else pair.b] == SPHERE:
-            x, y, z = rotated(of_world[side], x, y, z)
-            x, y, z = turned_back(rotations[own], x, y, z)
+            p = turned_back(rotations[own], rotated(of_world[side], p))
         elif pools.fragment.kind[pair.b if side == 0 else pair.a] == SPHERE:
-            row[3], row[4], row[5] = rotated(of_world[1 - side], row[3], row[4], row[5])
-            row[3], row[4], row[5] = turned_back(rotations[other], row[3], row[4], row[5])
-        x, y, z = to_other(rotations[own], positions[own], x, y, z)
-        p, back = positions[other], rotations[other]
-        row[0], row[1], row[2] = turned_back(back, x - p[0], y - p[1], z - p[2])
-        x, y, z = rotated(of_world[1 - side], row[6], row[7], row[8])
-        row[6], row[7], row[8] = turned_back(back, x, y, z)
-        row[9] = row[6] * (row[0] - row[3]) + row[7] * (row[1] - row[4]) + row[8] * (row[2] - row[5])
+            q = rotated(of_world[1 - side], vector_at(row, 3))
+            row[3], row[4], row[5] = turned_back(rotations[other], q)
+        p = to_other(rotations[own], positions[own], p)
+        row[0], row[1], row[2] = turned_back(rotations[other], minus(p, positions[other]))
+        n = rotated(of_world[1 - side], vector_at(row, 6))
+        row[6], row[7], row[8] = turned_back(rotations[other], n)
+        row[9] = dot(vector_at(row, 6), minus(row, vector_at(row, 3)))

@@ -15,7 +15,20 @@ import numpy as np
 from fracture_collision import portable_math
 from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.kinds import is_bounded
-from fracture_collision.core.memory.rotations import turned_back
+from fracture_collision.core.memory.transforms import turned_back
+from fracture_collision.core.memory.vectors import (
+    cross,
+    distance,
+    divided,
+    dot,
+    length,
+    minus,
+    plus,
+    plus_scaled,
+    put,
+    scaled,
+    vector,
+)
 
 _sine_after = query_kernel(portable_math.sine_after)
 # A body that turns by no more than this [rad] moves as if straight: directions of the end hold for now, too.
@@ -69,10 +82,10 @@ def motion_of(kinds, boxes, placed, centers, velocities, time):
             for j in range(3):
                 arm[k] += rotations[i, k, j] * centers[i, j]
             square += max(box[k + 3] - centers[i, k], centers[i, k] - box[k]) ** 2
-        w = angular[i]
-        turn = w[1] * arm[2] - w[2] * arm[1], w[2] * arm[0] - w[0] * arm[2], w[0] * arm[1] - w[1] * arm[0]
-        for k in range(3):
-            placed[i, k], velocities[i, k], spins[i, k] = positions[i, k] + arm[k], linear[i, k] + turn[k], w[k]
+        w = vector(angular, i)
+        put(placed, i, plus(vector(positions, i), arm))
+        put(velocities, i, plus(vector(linear, i), cross(w, arm)))
+        put(spins, i, w)
         reach[i] = math.sqrt(square)
     return Motion(time, placed, velocities, spins, reach)
 
@@ -93,7 +106,7 @@ def put_pose(motion, rotations, positions, i, t, rotation, position):
 
     rotations (n, 3, 3), positions (n, 3) [m]: world poses now.
     """
-    w, spin = motion.angular[i], _spin(motion.angular[i])
+    w, spin = motion.angular[i], length(motion.angular[i])
     for d in range(3):
         position[d] = positions[i, d] + t * motion.linear[i, d]
         for k in range(3):
@@ -101,60 +114,41 @@ def put_pose(motion, rotations, positions, i, t, rotation, position):
     if not spin * t > 0.0:
         return
     # Rodrigues' formula
-    u = w[0] / spin, w[1] / spin, w[2] / spin
+    u = divided(w, spin)
     sine, half = _sine_after(spin * t, 0.0), _sine_after(0.5 * spin * t, 0.0)
     versine = 2.0 * half * half
     for k in range(3):
-        x, y, z = rotations[i, 0, k], rotations[i, 1, k], rotations[i, 2, k]
-        rotation[0, k], rotation[1, k], rotation[2, k] = _turned(u, sine, versine, x, y, z)
+        axis = rotations[i, 0, k], rotations[i, 1, k], rotations[i, 2, k]
+        rotation[0, k], rotation[1, k], rotation[2, k] = _turned(u, sine, versine, axis)
     c = motion.centers[i]
-    x, y, z = _turned(u, sine, versine, positions[i, 0] - c[0], positions[i, 1] - c[1], positions[i, 2] - c[2])
-    position[0] = c[0] + t * motion.linear[i, 0] + x
-    position[1] = c[1] + t * motion.linear[i, 1] + y
-    position[2] = c[2] + t * motion.linear[i, 2] + z
+    arm = _turned(u, sine, versine, minus(positions[i], c))
+    position[0], position[1], position[2] = plus(plus_scaled(c, t, motion.linear[i]), arm)
 
 
 @query_kernel
-def _turned(u, sine, versine, x, y, z):
-    cx, cy, cz = u[1] * z - u[2] * y, u[2] * x - u[0] * z, u[0] * y - u[1] * x
-    return (
-        x + sine * cx + versine * (u[1] * cz - u[2] * cy),
-        y + sine * cy + versine * (u[2] * cx - u[0] * cz),
-        z + sine * cz + versine * (u[0] * cy - u[1] * cx),
-    )
-
-
-@query_kernel
-def _spin(w):
-    return math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+def _turned(u, sine, versine, v):
+    across = cross(u, v)
+    return plus_scaled(plus_scaled(v, sine, across), versine, cross(u, across))
 
 
 @query_kernel
 def turned_in(motion, i, left):
     """Angle by which fragment i turns in `left` [s]."""
-    return _spin(motion.angular[i]) * left
+    return length(motion.angular[i]) * left
 
 
 @query_kernel
 def _seen_from(motion, i, j, t, left):
     """Motion of fragment i in the frame of fragment j, from `t` [s] on for `left` [s].
 
-    Returns (x, y, z, turning, farther, sway), all [m/s]: velocity of i's centre at t, world axes; excess speed of i's
+    Returns (velocity, turning, farther, sway), all [m/s]: velocity of i's centre at t, world axes; excess speed of i's
     points due to rotation; excess due to the growing distance; how far the velocity turns in the time.
     """
-    a, b = motion.linear[i], motion.linear[j]
     wa, wb = motion.angular[i], motion.angular[j]
-    dx, dy, dz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-    rx = motion.centers[i, 0] - motion.centers[j, 0] + t * dx
-    ry = motion.centers[i, 1] - motion.centers[j, 1] + t * dy
-    rz = motion.centers[i, 2] - motion.centers[j, 2] + t * dz
-    x = dx - (wb[1] * rz - wb[2] * ry)
-    y = dy - (wb[2] * rx - wb[0] * rz)
-    z = dz - (wb[0] * ry - wb[1] * rx)
-    turned = _spin(wb) * left
-    turning = math.sqrt((wa[0] - wb[0]) ** 2 + (wa[1] - wb[1]) ** 2 + (wa[2] - wb[2]) ** 2)
-    farther = turned * math.sqrt(dx * dx + dy * dy + dz * dz)
-    return x, y, z, turning * motion.reach[i], farther, turned * math.sqrt(x * x + y * y + z * z)
+    along = minus(motion.linear[i], motion.linear[j])
+    velocity = minus(along, cross(wb, plus_scaled(minus(motion.centers[i], motion.centers[j]), t, along)))
+    turned = length(wb) * left
+    return velocity, distance(wa, wb) * motion.reach[i], turned * length(along), turned * length(velocity)
 
 
 @query_kernel
@@ -163,28 +157,26 @@ def closing_speed(motion, i, j, t, left):
 
     It holds in the frame of either; the smaller one is returned, which is 0 for two that turn together.
     """
-    x, y, z, turning, farther, _ = _seen_from(motion, i, j, t, left)
-    speed = math.sqrt(x * x + y * y + z * z) + turning + farther
-    x, y, z, turning, farther, _ = _seen_from(motion, j, i, t, left)
-    return min(speed, math.sqrt(x * x + y * y + z * z) + turning + farther)
+    v, turning, farther, _ = _seen_from(motion, i, j, t, left)
+    speed = length(v) + turning + farther
+    v, turning, farther, _ = _seen_from(motion, j, i, t, left)
+    return min(speed, length(v) + turning + farther)
 
 
 @query_kernel
-def closing_along(motion, i, j, t, left, x, y, z):
+def closing_along(motion, i, j, t, left, n):
     """Upper bound [m/s] on how fast the hulls of i and j approach each other along a direction; negative: they part.
 
-    (x, y, z): unit vector from j to i, world axes at `t` [s], that turns with one of the two; it holds for `left` [s].
+    n: unit vector from j to i, world axes at `t` [s], that turns with one of the two; it holds for `left` [s].
     """
     u, w = motion.angular[i], motion.angular[j]
-    wx, wy, wz = u[0] - w[0], u[1] - w[1], u[2] - w[2]
-    cx, cy, cz = y * wz - z * wy, z * wx - x * wz, x * wy - y * wx
-    across = math.sqrt(cx * cx + cy * cy + cz * cz)  # rotation about the vector closes nothing along it
-    vx, vy, vz, turning, farther, sway = _seen_from(motion, i, j, t, left)
-    turning = min(turning, across * motion.reach[i] + _spin(w) * left * turning)
-    closing = turning + farther + sway - (x * vx + y * vy + z * vz)
-    vx, vy, vz, turning, farther, sway = _seen_from(motion, j, i, t, left)
-    turning = min(turning, across * motion.reach[j] + _spin(u) * left * turning)
-    return min(closing, turning + farther + sway + (x * vx + y * vy + z * vz))
+    across = length(cross(n, minus(u, w)))  # rotation about the vector closes nothing along it
+    v, turning, farther, sway = _seen_from(motion, i, j, t, left)
+    turning = min(turning, across * motion.reach[i] + length(w) * left * turning)
+    closing = turning + farther + sway - dot(n, v)
+    v, turning, farther, sway = _seen_from(motion, j, i, t, left)
+    turning = min(turning, across * motion.reach[j] + length(u) * left * turning)
+    return min(closing, turning + farther + sway + dot(n, v))
 
 
 @query_kernel
@@ -193,25 +185,23 @@ def put_way(motion, i, j, t, left, time, turn, out):
 
     turn (3, 3): j's world rotation at t; out (WAY,) [m]: a way, for `approach.nearer_along`.
     """
-    x, y, z, turning, farther, sway = _seen_from(motion, i, j, t, left)
-    out[0], out[1], out[2] = turned_back(turn, time * x, time * y, time * z)
+    v, turning, farther, sway = _seen_from(motion, i, j, t, left)
     u, w = motion.angular[i], motion.angular[j]
-    r = time * motion.reach[i]
-    out[3], out[4], out[5] = turned_back(turn, r * (u[0] - w[0]), r * (u[1] - w[1]), r * (u[2] - w[2]))
-    out[6], out[7] = time * (farther + sway), time * _spin(w) * left * turning
+    out[0], out[1], out[2] = turned_back(turn, scaled(time, v))
+    out[3], out[4], out[5] = turned_back(turn, scaled(time * motion.reach[i], minus(u, w)))
+    out[6], out[7] = time * (farther + sway), time * length(w) * left * turning
 
 
 @query_kernel
 def between_balls(motion, i, j):
     """Lower bound [m] of the current distance, by the balls about the centres of mass; negative: the balls overlap."""
-    a, b = motion.centers[i], motion.centers[j]
-    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2) - motion.reach[i] - motion.reach[j]
+    return distance(motion.centers[i], motion.centers[j]) - motion.reach[i] - motion.reach[j]
 
 
 @query_kernel
 def sweep_box(motion, i, box):
     """Grow a world box (6,) [m] of fragment i so that it holds the fragment at all times ahead."""
-    turn = _spin(motion.angular[i]) * motion.reach[i] * motion.time
+    turn = length(motion.angular[i]) * motion.reach[i] * motion.time
     for k in range(3):
         way = motion.time * motion.linear[i, k]
         box[k] += min(way, 0.0) - turn

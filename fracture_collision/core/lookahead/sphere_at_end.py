@@ -14,6 +14,7 @@ from fracture_collision.core.lookahead.motion import MOST_TURN, closing_speed, t
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import PLANE, SPHERE
 from fracture_collision.core.memory.pair import Sink
+from fracture_collision.core.memory.vectors import dot, minus, scaled, vector, vector_at
 
 # The sphere may be deeper now along a direction of the end, by this share of the detection tolerance: rounding.
 DEEPER = 0.05
@@ -41,7 +42,7 @@ def sphere_at_end(pools, pair, moving, rule, count, sink, scratch):
     least = 0.0
     for k in range(min(count, len(contacts))):
         least = min(least, contacts[k, 9])
-    x, y, z = translation[number, 0], translation[number, 1], translation[number, 2]
+    center = vector(translation, number)
     radius = pools.fragment.shape[ball, 0]
     put_poses(moving, motion.time, scratch.world_rotation, scratch.world_position, pair)
     out = Sink(contacts[count:], ids[count:])
@@ -55,16 +56,17 @@ def sphere_at_end(pools, pair, moving, rule, count, sink, scratch):
             return count, False
     for k in range(count, count + found):
         row = contacts[k]
-        nx, ny, nz = row[6], row[7], row[8]
-        gap = (x - row[3]) * nx + (y - row[4]) * ny + (z - row[5]) * nz - radius
+        n = vector_at(row, 6)
+        gap = dot(minus(center, vector_at(row, 3)), n) - radius
         if gap < least - DEEPER * rule.near:
             continue
         for d in range(ids.shape[1]):
             ids[kept, d] = ids[k, d]
         to = contacts[kept]
-        to[0], to[1], to[2] = x - radius * nx, y - radius * ny, z - radius * nz
-        to[3], to[4], to[5] = to[0] - gap * nx, to[1] - gap * ny, to[2] - gap * nz
-        to[6], to[7], to[8], to[9] = nx, ny, nz, gap
+        to[0], to[1], to[2] = minus(center, scaled(radius, n))
+        to[3], to[4], to[5] = minus(to, scaled(gap, n))
+        to[6], to[7], to[8] = n
+        to[9] = gap
         kept += 1
     if kept == 0:
         return count, False

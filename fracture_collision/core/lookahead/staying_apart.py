@@ -14,7 +14,8 @@ from fracture_collision.core.lookahead.later_contacts import gap_then, put_poses
 from fracture_collision.core.lookahead.motion import closing_along, closing_speed, put_pose, turned_in
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import PLANE, SPHERE, is_bounded
-from fracture_collision.core.memory.rotations import rotated, turned_back
+from fracture_collision.core.memory.transforms import rotated, turned_back
+from fracture_collision.core.memory.vectors import dot, opposite, scaled, vector_at
 from fracture_collision.core.samples.sample_leaves import farthest_sample, leaves_of
 from fracture_collision.core.separation.leaf_separation import MOST_STEPS, parting_plane_of_leaves
 
@@ -51,8 +52,8 @@ def boxes_stay_apart(pools, pair, moving, near):
                 continue
             # from b to a
             sign = 1.0 if (along < 0.0) == (side == 0) else -1.0
-            x, y, z = sign * rotations[k, 0, d], sign * rotations[k, 1, d], sign * rotations[k, 2, d]
-            if gap - near > closing_along(motion, i, j, 0.0, motion.time, x, y, z) * motion.time:
+            n = sign * rotations[k, 0, d], sign * rotations[k, 1, d], sign * rotations[k, 2, d]
+            if gap - near > closing_along(motion, i, j, 0.0, motion.time, n) * motion.time:
                 return True
     return False
 
@@ -67,11 +68,11 @@ def hulls_stay_apart(pools, pair, moving, near, toward, scratch):
     """
     a, b, _, translation = pair
     i, j, rotations, _, motion = moving
-    gap, x, y, z = gap_of_hulls(pools, pair, 0.0, toward, scratch, 1)
+    gap, n = gap_of_hulls(pools, pair, 0.0, toward, scratch, 1)
     if not gap > near:
         return False
-    n = rotated(rotations[j], x, y, z)
-    if gap - near > closing_along(motion, i, j, 0.0, motion.time, n[0], n[1], n[2]) * motion.time:
+    n = rotated(rotations[j], n)
+    if gap - near > closing_along(motion, i, j, 0.0, motion.time, n) * motion.time:
         return True
     slack = rounding_slack(pools, a, b, translation)
     return least_gap_ahead(pools, pair, moving, 0.0, gap, n, slack, scratch) > near
@@ -102,13 +103,12 @@ def may_touch_again(pools, pair, moving, moment, sink, epsilon, scratch):
     # most pairs slide along their separating plane, or separate
     toward = scratch.ahead_toward
     toward[0] = toward[1] = toward[2] = 0.0
-    gap, x, y, z = gap_of_hulls(pools, pair, 0.0, toward, scratch)
+    gap, n = gap_of_hulls(pools, pair, 0.0, toward, scratch)
     if gap < -thin:
         return True
-    of_b = rotations[j] if moment == 0.0 else scratch.world_rotation[1]
-    n = rotated(of_b, x, y, z)
+    n = rotated(rotations[j] if moment == 0.0 else scratch.world_rotation[1], n)
     left = motion.time - moment
-    if max(closing_along(motion, i, j, moment, left, n[0], n[1], n[2]), 0.0) * left - gap <= allowed:
+    if max(closing_along(motion, i, j, moment, left, n), 0.0) * left - gap <= allowed:
         return False
     slack = rounding_slack(pools, a, b, translation)
     ahead = least_gap_ahead(pools, pair, moving, moment, gap, n, slack, scratch)
@@ -140,38 +140,36 @@ def gap_of_hulls(pools, pair, enough, toward, scratch, most_steps=MOST_STEPS):
     """Lower bound [m] of the distance between the hulls of a Pair, and its direction.
 
     enough [m]: the search stops once the distance exceeds it; toward, most_steps: see leaf_separation. Returns (gap
-    [m], x, y, z), the direction from b to a in b's frame; minus infinity: spheres, and fragments without samples, are
-    not handled.
+    [m], direction from b to a in b's frame); minus infinity: spheres, and fragments without samples, are not handled.
     """
     a, b, rotation, translation = pair
     kind_a, kind_b = pools.fragment.kind[a], pools.fragment.kind[b]
     if kind_a == SPHERE or kind_b == SPHERE:
-        return -math.inf, 0.0, 0.0, 0.0
+        return -math.inf, (0.0, 0.0, 0.0)
     slack = rounding_slack(pools, a, b, translation)
     if kind_a == PLANE or kind_b == PLANE:
         plane, other, side = (b, a, 0) if kind_b == PLANE else (a, b, 1)
-        shape, t = pools.fragment.shape[plane], translation[side]
-        x, y, z = rotated(rotation[1 - side], -shape[0], -shape[1], -shape[2])
-        gap = shape[0] * t[0] + shape[1] * t[1] + shape[2] * t[2] - shape[3] - slack
-        gap -= _reach_of_hull(pools, other, x, y, z, scratch.along)
-        if side == 0:
-            return gap, shape[0], shape[1], shape[2]
-        return gap, x, y, z
+        shape = pools.fragment.shape[plane]
+        outward = vector_at(shape, 0)
+        n = rotated(rotation[1 - side], opposite(outward))
+        gap = dot(outward, translation[side]) - shape[3] - slack
+        gap -= _reach_of_hull(pools, other, n, scratch.along)
+        return gap, outward if side == 0 else n
     leaves = leaves_of(pools, a), leaves_of(pools, b)
     if len(leaves[0].entries) == 0 or len(leaves[1].entries) == 0:
-        return -math.inf, 0.0, 0.0, 0.0
+        return -math.inf, (0.0, 0.0, 0.0)
     rounding = slack + leaves[0].middle[3] + leaves[1].middle[3]
     n, low, high = parting_plane_of_leaves(pools, pair, leaves, enough + rounding, toward, scratch.along, most_steps)
-    return low - high - rounding, n[0], n[1], n[2]
+    return low - high - rounding, n
 
 
 @query_kernel
-def _reach_of_hull(pools, f, x, y, z, bounds):
-    """Upper bound [m] of a fragment's extent along a unit vector (x, y, z) of its frame; bounds: working space."""
+def _reach_of_hull(pools, f, n, bounds):
+    """Upper bound [m] of a fragment's extent along a unit vector n of its frame; bounds: working space."""
     leaves = leaves_of(pools, f)
     m = leaves.middle
-    _, reach = farthest_sample(leaves, (x, y, z), 0, bounds)
-    return reach + m[3] + x * m[0] + y * m[1] + z * m[2]
+    _, reach = farthest_sample(leaves, n, 0, bounds)
+    return reach + m[3] + n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
 
 
 @query_kernel
@@ -192,12 +190,11 @@ def least_gap_ahead(pools, pair, moving, t, gap, n, slack, scratch):
         # a point's acceleration is at most its distance from the axis times the square of the spin
         spin = turned_in(motion, k, left)
         bend += 0.5 * spin * spin * motion.reach[k]
-        at_end -= sign * (n[0] * place[0] + n[1] * place[1] + n[2] * place[2])
-        x, y, z = turned_back(turn, sign * n[0], sign * n[1], sign * n[2])
+        at_end -= sign * dot(n, place)
         if not is_bounded(pools.fragment.kind[f]):  # it stands still, and n is its normal
             at_end -= pools.fragment.shape[f, 3]
             continue
-        at_end -= _reach_of_hull(pools, f, x, y, z, scratch.along)
+        at_end -= _reach_of_hull(pools, f, turned_back(turn, scaled(sign, n)), scratch.along)
     # after a share s of the time left: gap + s (at_end - gap) - bend s (1 - s)
     change = at_end - gap
     if abs(change) >= bend:

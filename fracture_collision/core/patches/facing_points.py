@@ -15,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.transforms import rotated, turned_back
+from fracture_collision.core.memory.vectors import cross, dot, put, vector
 
 # Faces at less than 3 degrees from along n have no distance along it; edges need only one side that faces, by a sine.
 FACING, EDGE_FACING = 0.05, 0.02
@@ -89,9 +91,7 @@ def facing_points(a, b, n, gaps, size):
     view = _View(np.empty(6), gaps[0], np.array([gaps[1]]), ON_RIM * size, False, -math.inf)
     (points, gaps, features), count = _look(a, b, axes, view)
     for k in range(count):
-        u, v, h = points[k, 0], points[k, 1], points[k, 2]
-        for d in range(3):
-            points[k, d] = u * axes[0, d] + v * axes[1, d] + h * axes[2, d]
+        put(points, k, turned_back(axes, vector(points, k)))
     return FacingPoints(points[:count].copy(), gaps[:count].copy(), features[:count].copy())
 
 
@@ -144,11 +144,8 @@ def axes_along(n):
     i, j = (least + 1) % 3, (least + 2) % 3
     length = math.sqrt(n[i] * n[i] + n[j] * n[j])
     axes[0, i], axes[0, j] = n[j] / length, -n[i] / length
-    for d in range(3):
-        axes[2, d] = n[d]
-    for d in range(3):
-        p, q = (d + 1) % 3, (d + 2) % 3
-        axes[1, d] = n[p] * axes[0, q] - n[q] * axes[0, p]
+    put(axes, 1, cross(n, vector(axes, 0)))
+    put(axes, 2, n)
     return axes
 
 
@@ -157,8 +154,7 @@ def seen_along(corners, axes):
     """Corners (c, 3) [m] along each of the axes."""
     seen = np.empty((len(corners), 3))
     for k in range(len(corners)):
-        for d in range(3):
-            seen[k, d] = corners[k, 0] * axes[d, 0] + corners[k, 1] * axes[d, 1] + corners[k, 2] * axes[d, 2]
+        put(seen, k, rotated(axes, vector(corners, k)))
     return seen
 
 
@@ -179,7 +175,7 @@ def _near(posed, places, n, sign, view):
     faces, faces_used, touches = np.empty(len(triangles), np.int64), 0, np.zeros(len(places), np.bool_)
     for t in range(len(triangles)):
         i, j, k = triangles[t]
-        if beyond[i] & beyond[j] & beyond[k] == 0 and sign * _along(posed.normals[t], n) > FACING:
+        if beyond[i] & beyond[j] & beyond[k] == 0 and sign * dot(vector(posed.normals, t), n) > FACING:
             faces[faces_used] = t
             faces_used += 1
             touches[i] = touches[j] = touches[k] = True
@@ -192,16 +188,11 @@ def _near(posed, places, n, sign, view):
     for e in range(len(edges)):
         if beyond[edges[e, 0]] & beyond[edges[e, 1]]:
             continue
-        one, other = posed.normals[posed.beside[e, 0]], posed.normals[posed.beside[e, 1]]
-        if max(sign * _along(one, n), sign * _along(other, n)) > EDGE_FACING:
+        one, other = vector(posed.normals, posed.beside[e, 0]), vector(posed.normals, posed.beside[e, 1])
+        if max(sign * dot(one, n), sign * dot(other, n)) > EDGE_FACING:
             chosen[edges_used] = e
             edges_used += 1
     return _Seen(places, faces[:faces_used], corners[:corners_used], chosen[:edges_used])
-
-
-@query_kernel
-def _along(m, n):
-    return m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
 
 
 @kernel

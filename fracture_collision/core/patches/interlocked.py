@@ -29,9 +29,21 @@ from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.kinds import TETRAHEDRA, WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
 from fracture_collision.core.memory.pools import Pools
-from fracture_collision.core.memory.rotations import turned_back
 from fracture_collision.core.memory.struct import Struct
 from fracture_collision.core.memory.tables import Table
+from fracture_collision.core.memory.transforms import turned_back
+from fracture_collision.core.memory.vectors import (
+    area_vector,
+    distance,
+    dot,
+    length,
+    minus,
+    opposite,
+    plus,
+    plus_scaled,
+    put,
+    vector,
+)
 from fracture_collision.core.patches.facing_points import (
     FacingPoints,
     Posed,
@@ -261,11 +273,11 @@ def _part_share(surfaces, pools, lists, moving, known, out, scratch, part):
         along, slot, reach = scratch.toward, slots[p], 0.0
         # how far the two may yet move until other triangles may pierce each other than those listed [m]
         left = _left_of(pools, surfaces, pair, lists.close, slot)
-        if rows[0] == rows[1] and not (left >= 0.0 and left >= _length(lists.close.by, slot)):
+        if rows[0] == rows[1] and not (left >= 0.0 and left >= length(vector(lists.close.by, slot))):
             for d in range(3):
                 along[d] = lists.toward[slot, d] if slot >= 0 else 0.0
-            gap, x, y, z = gap_of_hulls(pools, pair, 0.0, along, scratch)
-            along[0], along[1], along[2] = x, y, z
+            gap, n = gap_of_hulls(pools, pair, 0.0, along, scratch)
+            along[0], along[1], along[2] = n
             if gap > 0.0:
                 out.bounds[p] = 0.0
                 continue
@@ -290,11 +302,6 @@ def _left_of(pools, surfaces, pair, lists, slot):
     if lists.surfaces[slot, 0] != surfaces.stamps[pair.a] or lists.surfaces[slot, 1] != surfaces.stamps[pair.b]:
         return -1.0
     return lists.reach[slot] - BESIDE * displacement(pools, pair, lists.at[slot])
-
-
-@query_kernel
-def _length(x, row):
-    return math.sqrt(x[row, 0] * x[row, 0] + x[row, 1] * x[row, 1] + x[row, 2] * x[row, 2])
 
 
 class _Planes(NamedTuple):
@@ -346,11 +353,11 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     given, along = planes.normals[:found].copy(), hulls[:3].copy()
     if found > 0:
         along[:] = given[np.argmax(planes.needs[:found])]
-    elif not _along(along, along) > 0.0:
+    elif not dot(along, along) > 0.0:
         along[2] = 1.0
     is_asked, is_apart, x = _try_contacts(kept, pair, (given, planes.needs[:found], deepest), tolerance, along)
     if is_apart:
-        return _LEAVE, min(math.sqrt(_along(x, x)), wanted.moved)
+        return _LEAVE, min(length(x), wanted.moved)
     if is_sampled and max(deepest, wanted.moved) <= DEEP * tolerance:
         # pieces nearly in place: how far they have moved says enough, and hardly ever anything parts them
         return _LEAVE, wanted.moved
@@ -366,7 +373,7 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     first = found if parted.is_apart else 0
     if not parted.is_apart:
         parted = _part(np.zeros(3), (0, 0), deepest > DEEP * tolerance, rules, planes)
-    is_whole, is_long = parted.is_apart, not parted.is_apart or _along(parted.x, parted.x) > likely * likely
+    is_whole, is_long = parted.is_apart, not parted.is_apart or dot(parted.x, parted.x) > likely * likely
     if wanted.moved > likely and is_long:
         others = _planes_of(normals[:0], gaps[:0], moving.rotations[moving.j])
         whole = _part_whole(parted, rules, others)
@@ -374,7 +381,7 @@ def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
             parted, planes, first, is_whole = whole, others, 0, True
     x = parted.x
     if parted.is_apart:
-        bound = min(bound, math.sqrt(_along(x, x)))
+        bound = min(bound, length(x))
     # where no translation parts the two, turning by a little may: every overlap is pushed out on its own
     rows = first, parted.used if is_whole else parted.begun
     count = _put_corners(planes, rows, rules, sink)
@@ -395,11 +402,11 @@ def _mark_those_across(planes, rows, given, x, found, stays):
     """
     gaps, tolerance = found
     for c in range(len(gaps)):
-        n = given[c]
-        gap = gaps[c] + _along(x, n)
+        n = vector(given, c)
+        gap = gaps[c] + dot(x, n)
         stays[c] = gaps[c] >= -tolerance and -LEAST * tolerance <= gap <= tolerance
         for k in range(rows[0], rows[1]):
-            stays[c] = stays[c] and abs(_along(planes.normals[k], n)) < OTHER
+            stays[c] = stays[c] and abs(dot(vector(planes.normals, k), n)) < OTHER
 
 
 @kernel
@@ -408,7 +415,7 @@ def _planes_of(normals, gaps, rotation):
     found, rows = len(gaps), len(gaps) + MOST_ADDED
     planes = _Planes(np.empty((rows, 3)), np.empty(rows), np.empty((rows, 3)))
     for c in range(found):
-        planes.normals[c] = turned_back(rotation, normals[c, 0], normals[c, 1], normals[c, 2])
+        put(planes.normals, c, turned_back(rotation, vector(normals, c)))
         planes.needs[c] = -gaps[c]
     return planes
 
@@ -430,7 +437,7 @@ def _try_contacts(kept, pair, known, tolerance, n):
         is_asked = is_possible and deepest <= DEEP * tolerance
         if not is_asked:
             continue
-        is_listed = left >= 0.0 and left >= _distance(x, lists.by[slot])
+        is_listed = left >= 0.0 and left >= distance(x, vector(lists.by, slot))
         if _are_apart(surfaces, pair, x, n, (lists, slot, is_listed, reach)):
             return True, True, x
         if not is_listed:
@@ -492,7 +499,7 @@ def _part(x, rows, is_inside, rules, planes):
     (used, first), begun = rows, rows[0]
     origin, reach, close, near = x, -1.0, np.empty((0, 2), np.int64), rules.whole
     for turn in range(MOST_TURNS):
-        if not _distance(x, origin) <= reach:
+        if not distance(x, origin) <= reach:
             # most are apart at once; those that are not are moved by little from there
             origin, reach = x, turn * rules.wanted.near
             near = _in_common(x, reach, rules)
@@ -506,11 +513,11 @@ def _part(x, rows, is_inside, rules, planes):
             n, overlap = _way_out((a, there), pairs, overlaps, k, x, rules)
             if not overlap < math.inf or used == first + MOST_ADDED:
                 return _Parted(used, x, False, begun)
-            planes.normals[used], planes.needs[used], planes.at[used] = n, overlap + _along(x, n), x
+            planes.normals[used], planes.needs[used], planes.at[used] = n, overlap + dot(x, n), x
             used += 1
             begun += turn == 0
         x, is_possible = _satisfying(planes.normals[:used], planes.needs[:used], SLACK * rules.wanted.near)
-        if not is_possible or _along(x, x) > rules.most * rules.most:
+        if not is_possible or dot(x, x) > rules.most * rules.most:
             break
     return _Parted(used, x, False, begun)
 
@@ -533,7 +540,7 @@ def _part_whole(parted, rules, planes):
     """A _Parted of first that direction along which whole surfaces overlap least, if that is less than another's."""
     most = rules.most
     if parted.is_apart:
-        most = min(most, math.sqrt(_along(parted.x, parted.x)))
+        most = min(most, length(parted.x))
     x = np.zeros(3)
     near = _in_common(x, 0.0, rules)
     n, overlap = _least_way(
@@ -570,7 +577,7 @@ def _put_points(plane, rules, sink):
     plane: n, its need [m], b's translation (3,) [m] when it was found.
     """
     (n, need, x), (a, b), wanted, size = plane, rules.whole, rules.wanted, rules.size
-    along = _along(x, n)
+    along = dot(x, n)
     if abs(need - along) + abs(along) <= LEAST * wanted.near:
         return 0
     # where other directions move b farther along this one, its corners are apart now, and listed all the same
@@ -583,8 +590,8 @@ def _put_points(plane, rules, sink):
     )  # fmt: skip
     for k in range(len(patch.gaps)):
         # straight on b, then back with it
-        other = patch.others[k] + along * n - x
-        put_contact(sink, k, patch.points[k], other, n, patch.numbers[k])
+        other = minus(plus_scaled(vector(patch.others, k), along, n), x)
+        put_contact(sink, k, vector(patch.points, k), other, n, patch.numbers[k])
     return len(patch.gaps)
 
 
@@ -615,11 +622,6 @@ def _keep_distinct(sink, count, more, n):
     return kept
 
 
-@query_kernel
-def _along(x, n):
-    return x[0] * n[0] + x[1] * n[1] + x[2] * n[2]
-
-
 @kernel
 def _way_out(posed, pairs, overlaps, part, x, rules):
     """(direction (3,), how far [m] b must be moved along it to undo one overlap, of a number).
@@ -627,12 +629,12 @@ def _way_out(posed, pairs, overlaps, part, x, rules):
     x (3,) [m]: how far b was moved.
     """
     toward = overlaps.areas[part].copy()
-    length = math.sqrt(_along(toward, toward))
-    if length > 0.0:
-        toward /= length
-    is_through = not length > THROUGH * overlaps.spreads[part]
+    area = length(toward)
+    if area > 0.0:
+        toward /= area
+    is_through = not area > THROUGH * overlaps.spreads[part]
     n, overlap = _least_way(posed, pairs, (overlaps, part, is_through), toward, x, rules)
-    if is_through and length > 0.0 and not overlap < math.inf:
+    if is_through and area > 0.0 and not overlap < math.inf:
         # more of it leaves than enters
         n, overlap = _least_way(posed, pairs, (overlaps, part, False), toward, x, rules)
     return n, overlap
@@ -652,31 +654,32 @@ def _least_way(posed, pairs, which, toward, x, rules):
         if not areas[k] > 0.0 or tried == MOST_TRIED:
             break
         side, t = at[k]
-        n = a.normals[t].copy() if side == 0 else -b.normals[t]
-        if is_through or n[0] * toward[0] + n[1] * toward[1] + n[2] * toward[2] > SAME:
-            tried = _add_new(ways, tried, n[0], n[1], n[2])
+        n = vector(a.normals, t) if side == 0 else opposite(vector(b.normals, t))
+        if is_through or dot(n, toward) > SAME:
+            tried = _add_new(ways, tried, n)
     most = tried + MOST_TRIED
     for c in range(len(given)):
-        n = given[c]
-        if tried < most and (is_through or n[0] * toward[0] + n[1] * toward[1] + n[2] * toward[2] > SAME):
-            tried = _add_new(ways, tried, n[0], n[1], n[2])
+        n = vector(given, c)
+        if tried < most and (is_through or dot(n, toward) > SAME):
+            tried = _add_new(ways, tried, n)
     enough = math.inf
     if is_through:
         a, b = rules.whole[0], _shifted(rules.whole[1], x)
     else:
         others = tried
-        tried = _add_new(ways, tried, toward[0], toward[1], toward[2])
+        tried = _add_new(ways, tried, toward)
         a = _part_of(a, np.flatnonzero(overlaps.of_a == part))
         b = _part_of(b, np.flatnonzero(overlaps.of_b == part))
         if tried > others:
             # nearly the least, most often: what overlaps more is not looked at closer
-            lowest = _along(x, toward) - MOVED * wanted.moved - ONE_PLACE * size
+            lowest = dot(x, toward) - MOVED * wanted.moved - ONE_PLACE * size
             overlap = overlap_along(a, b, toward, lowest, math.inf, size)
             enough = overlap + ALIKE * wanted.near if overlap > 0.0 else math.inf
     best, least = 0, math.inf
     for k in range(tried):
-        lowest = -math.inf if is_through else _along(x, ways[k]) - MOVED * wanted.moved - ONE_PLACE * size
-        less = min(least - ALIKE * wanted.near, enough, rules.most - _along(x, ways[k]))
+        along = dot(x, vector(ways, k))
+        lowest = -math.inf if is_through else along - MOVED * wanted.moved - ONE_PLACE * size
+        less = min(least - ALIKE * wanted.near, enough, rules.most - along)
         if not less > 0.0:
             continue
         overlap = overlap_along(a, b, ways[k], lowest, less, size)
@@ -738,14 +741,8 @@ def _part_of(posed, rows):
 def _shifted(posed, x):
     corners = np.empty_like(posed.corners)
     for k in range(len(corners)):
-        for d in range(3):
-            corners[k, d] = posed.corners[k, d] + x[d]
+        put(corners, k, plus(vector(posed.corners, k), x))
     return Posed(corners, posed.triangles, posed.normals, posed.edges, posed.beside, posed.is_sharp)
-
-
-@query_kernel
-def _distance(x, y):
-    return math.sqrt((x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2)
 
 
 @query_kernel
@@ -772,12 +769,12 @@ def _longest(box):
 
 
 @query_kernel
-def _add_new(ways, tried, x, y, z):
+def _add_new(ways, tried, n):
     """Add a direction to the first `tried` of `ways`, if it is far from all of them; returns their number."""
     for k in range(tried):
-        if ways[k, 0] * x + ways[k, 1] * y + ways[k, 2] * z >= APART:
+        if dot(vector(ways, k), n) >= APART:
             return tried
-    ways[tried, 0], ways[tried, 1], ways[tried, 2] = x, y, z
+    put(ways, tried, n)
     return tried + 1
 
 
@@ -785,10 +782,7 @@ def _add_new(ways, tried, x, y, z):
 def _area(c, triangles, t):
     """Twice the area [m2] of a triangle with corners `c`."""
     p, q, r = triangles[t]
-    ux, uy, uz = c[q, 0] - c[p, 0], c[q, 1] - c[p, 1], c[q, 2] - c[p, 2]
-    vx, vy, vz = c[r, 0] - c[p, 0], c[r, 1] - c[p, 1], c[r, 2] - c[p, 2]
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return math.sqrt(x * x + y * y + z * z)
+    return length(area_vector((vector(c, p), vector(c, q), vector(c, r))))
 
 
 @kernel

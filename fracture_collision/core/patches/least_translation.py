@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.vectors import cross, divided, dot, plus_scaled, scaled, vector
 
 MOST_BINDING = 12
 # Violations up to this share of the largest need are rounding.
@@ -28,7 +29,7 @@ def least_translation(normals, needs):
     while True:
         worst, most = -1, ROUNDING * scale
         for k in range(len(needs)):
-            lacks = needs[k] - (normals[k, 0] * x[0] + normals[k, 1] * x[1] + normals[k, 2] * x[2])
+            lacks = needs[k] - dot(vector(normals, k), x)
             if lacks > most:
                 worst, most = k, lacks
         if worst < 0:
@@ -44,52 +45,43 @@ def least_translation(normals, needs):
 @kernel
 def _least_of(normals, needs, rows, slack, x):
     """Write the least translation that satisfies `rows` (k,) to x; returns whether there is one."""
-    least, tried = math.inf, np.empty(3)
+    least = math.inf
     for i in range(len(rows)):
-        m = normals[rows[i]]
-        for d in range(3):
-            tried[d] = needs[rows[i]] * m[d]
-        least = _better(normals, needs, rows, slack, tried, least, x)
+        m, of_m = vector(normals, rows[i]), needs[rows[i]]
+        least = _better(normals, needs, rows, slack, scaled(of_m, m), least, x)
         for j in range(i):
-            n = normals[rows[j]]
-            c = m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
+            n, of_n = vector(normals, rows[j]), needs[rows[j]]
+            c = dot(m, n)
             square = 1.0 - c * c
             if square > DEPENDENT * DEPENDENT:
-                of_m = (needs[rows[i]] - c * needs[rows[j]]) / square
-                of_n = (needs[rows[j]] - c * needs[rows[i]]) / square
-                for d in range(3):
-                    tried[d] = of_m * m[d] + of_n * n[d]
+                tried = plus_scaled(scaled((of_m - c * of_n) / square, m), (of_n - c * of_m) / square, n)
                 least = _better(normals, needs, rows, slack, tried, least, x)
             for k in range(j):
-                if _meeting(m, n, normals[rows[k]], (needs[rows[i]], needs[rows[j]], needs[rows[k]]), tried):
+                do_meet, tried = _meeting(m, n, vector(normals, rows[k]), (of_m, of_n, needs[rows[k]]))
+                if do_meet:
                     least = _better(normals, needs, rows, slack, tried, least, x)
     return least < math.inf
 
 
 @query_kernel
-def _meeting(m, n, o, needs, out):
-    """Write the point where three planes meet; returns whether they do in one."""
-    det = 0.0
-    for d in range(3):
-        e, f = (d + 1) % 3, (d + 2) % 3
-        det += m[d] * (n[e] * o[f] - n[f] * o[e])
+def _meeting(m, n, o, needs):
+    """(whether three planes meet in one point, the point)."""
+    across = cross(n, o)
+    det = dot(m, across)
     if abs(det) < DEPENDENT:
-        return False
-    for d in range(3):
-        e, f = (d + 1) % 3, (d + 2) % 3
-        out[d] = needs[0] * (n[e] * o[f] - n[f] * o[e]) + needs[1] * (o[e] * m[f] - o[f] * m[e])
-        out[d] = (out[d] + needs[2] * (m[e] * n[f] - m[f] * n[e])) / det
-    return True
+        return False, across
+    point = plus_scaled(plus_scaled(scaled(needs[0], across), needs[1], cross(o, m)), needs[2], cross(m, n))
+    return True, divided(point, det)
 
 
 @query_kernel
 def _better(normals, needs, rows, slack, tried, least, x):
     """Copy `tried` to x if it satisfies all rows and is shorter than the square `least`; returns the least square."""
-    square = tried[0] * tried[0] + tried[1] * tried[1] + tried[2] * tried[2]
+    square = dot(tried, tried)
     if not square < least:
         return least
     for r in rows:
-        if normals[r, 0] * tried[0] + normals[r, 1] * tried[1] + normals[r, 2] * tried[2] < needs[r] - slack:
+        if dot(vector(normals, r), tried) < needs[r] - slack:
             return least
-    x[0], x[1], x[2] = tried[0], tried[1], tried[2]
+    x[0], x[1], x[2] = tried
     return square

@@ -11,11 +11,24 @@ from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_
 from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.lookahead.motion import MOST_TURN, put_pose
 from fracture_collision.core.memory.compiled import allocating_kernel, kernel, query_kernel
-from fracture_collision.core.memory.rotations import relative_pose, rotated, to_other, turned_back
+from fracture_collision.core.memory.rotations import relative_pose
+from fracture_collision.core.memory.transforms import rotated, to_other, turned_back
+from fracture_collision.core.memory.vectors import (
+    distance,
+    divided,
+    dot,
+    length,
+    minus,
+    opposite,
+    plus_scaled,
+    put,
+    vector,
+    vector_at,
+)
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_PATCHES
 from fracture_collision.core.patches.facing_points import CROSSING, Posed, facing_points
 from fracture_collision.core.patches.shapes import hull_of, surface_of
-from fracture_collision.core.separation.parting_direction import Relative, parting_direction
+from fracture_collision.core.separation.parting_direction import Relative, corner_of, parting_direction
 
 # Points of one contact are at least this share of the smaller fragment's size apart.
 ONE_PLACE = 1e-6
@@ -89,14 +102,15 @@ def put_patch(shapes, pair, moving, wanted, remembered, sink):
         if part == 0:
             bound = patch.overlap
         if count > 0 and count <= len(sink.contacts):
-            n = _turned(turns[3], patch.normal)
-            n = _turned_back(rotations[j], n)
+            n, (a, _) = vector_at(patch.normal, 0), placings
+            if part > 0:
+                n = turned_back(rotations[j], rotated(turns[3], n))
             for k in range(count):
-                p, q = patch.points[k], patch.others[k]
+                p = vector(patch.points, k)
                 if part > 0:
-                    p = _turned_back(placings[0].rotations[0], p - placings[0].positions[0])
-                    p = _turned(pair.rotation[0], p) + pair.translation[0]
-                put_contact(sink, k, p, q, n if part > 0 else patch.normal, patch.numbers[k])
+                    p = turned_back(a.rotations[0], minus(p, a.positions[0]))
+                    p = to_other(pair.rotation[0], pair.translation[0], p)
+                put_contact(sink, k, p, vector(patch.others, k), n, patch.numbers[k])
         if count > 0:
             return count, bound, parts > 0
     return 0, bound, parts > 0
@@ -107,13 +121,10 @@ def _parts(motion, i, j):
     """Number of parts that a step is divided into; 0: the two do not move against each other."""
     if not motion.time > 0.0:
         return 0
-    turn, differs = 0.0, False
+    turn = 0.0
     for k in (i, j):
-        w = motion.angular[k]
-        turn += math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    for d in range(3):
-        differs = differs or motion.linear[i, d] != motion.linear[j, d]
-    if not (turn > 0.0 or differs):
+        turn += length(motion.angular[k])
+    if not (turn > 0.0 or vector(motion.linear, i) != vector(motion.linear, j)):
         return 0
     return min(max(int(math.ceil(motion.time * turn / MOST_TURN)), 1), MOST_PARTS)
 
@@ -122,9 +133,10 @@ def _parts(motion, i, j):
 def put_contact(sink, k, p, q, n, number):
     """Write a contact to row k of a Sink, as a sample of a that meets b."""
     row, ids = sink.contacts[k], sink.ids[k]
-    for d in range(3):
-        row[d], row[3 + d], row[6 + d] = p[d], q[d], -n[d]
-    row[9] = (q[0] - p[0]) * n[0] + (q[1] - p[1]) * n[1] + (q[2] - p[2]) * n[2]
+    row[0], row[1], row[2] = p
+    row[3], row[4], row[5] = q
+    row[6], row[7], row[8] = opposite(n)
+    row[9] = dot(minus(q, p), n)
     ids[ID_SIDE], ids[ID_SAMPLE] = 0, FIRST_OF_PATCHES + number
     ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT] = NO_SOURCE, -1, -1
 
@@ -137,7 +149,7 @@ def mesh_patch(shapes, rows, hulls, placings, more, wanted, remembered):
     """
     (a, b), tolerance = rows, wanted.near
     parting = parting_direction(hulls[0], hulls[1], _relative(placings), tolerance, remembered)
-    n = np.array([parting.x, parting.y, parting.z])
+    n = np.array(parting.direction)
     if parting.is_apart:
         return Patch(n, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), 0.0)
     size = min(shapes.size[a], shapes.size[b])
@@ -171,23 +183,19 @@ def listed_patch(found, placings, at, n, more, wanted, size):
     undone_a, undone_b = _undone(placings[0], share), _undone(placings[1], share)
     ways = _ways_at_end(placings, n)
     for k in range(count):
-        x, y, z, gap = found.points[k, 0], found.points[k, 1], found.points[k, 2], found.gaps[k]
+        p, gap = vector(found.points, k), found.gaps[k]
         if gap < -(MOVED * moved + ONE_PLACE * size):
             continue
-        of_a = _local(undone_a, x, y, z)
-        of_b = _local(undone_b, x + gap * n[0], y + gap * n[1], z + gap * n[2])
+        q = plus_scaled(p, gap, n)
+        of_a, of_b = _local(undone_a, p), _local(undone_b, q)
         least[used] = min(gap, _gap_at_end(placings, of_a, of_b, ways))
         if least[used] > tolerance:
             continue
         touches = touches or gap <= tolerance or more == 0
-        p, q = points[used], others[used]
-        p[0], p[1], p[2] = x, y, z
-        q[0], q[1], q[2] = x + gap * n[0], y + gap * n[1], z + gap * n[2]
         if share > 0.0:
-            p[0], p[1], p[2] = _placed(placings[0], 0, of_a)
-            q[0], q[1], q[2] = _placed(placings[1], 0, of_b)
-            gap = (q[0] - p[0]) * n[0] + (q[1] - p[1]) * n[1] + (q[2] - p[2]) * n[2]
-        gaps[used] = gap
+            p, q = _placed(placings[0], 0, of_a), _placed(placings[1], 0, of_b)
+            gap = dot(minus(q, p), n)
+        points[used], others[used], gaps[used] = p, q, gap
         kind, i, j = found.features[k]
         # crossings after corners, those of b before those of a
         numbers[used] = (np.int64(kind) << 56) + (_CROSSING_STRIDE * i + j if kind == CROSSING else i)
@@ -204,8 +212,7 @@ def _one_per_place(points, order, apart):
     count, kept = len(order), 0
     heights, is_kept = np.empty(count), np.zeros(count, np.bool_)
     for k in range(count):
-        p = points[order[k]]
-        heights[k] = _ASKEW[0] * p[0] + _ASKEW[1] * p[1] + _ASKEW[2] * p[2]
+        heights[k] = dot(_ASKEW, vector(points, order[k]))
     by_height = np.argsort(heights, kind="mergesort")
     row, reach = np.empty(count, np.int64), (_ASKEW[0] + _ASKEW[1] + _ASKEW[2]) * apart
     for r in range(count):
@@ -249,11 +256,9 @@ def _spread(points, depths, order, tolerance, most):
     while pick >= 0 and used < len(chosen):
         chosen[used], taken[pick] = order[pick], True
         used += 1
-        p, best = points[order[pick]], 0.0
+        p, best = vector(points, order[pick]), 0.0
         for k in range(count):
-            q = points[order[k]]
-            away = math.sqrt((q[0] - p[0]) ** 2 + (q[1] - p[1]) ** 2 + (q[2] - p[2]) ** 2)
-            far[k] = min(far[k], away)
+            far[k] = min(far[k], distance(vector(points, order[k]), p))
             if not taken[k]:
                 best = max(best, far[k] * weight[k])
         pick = -1
@@ -283,18 +288,6 @@ def seen_from(turns, places, first):
 
 
 @kernel
-def _turned(rotation, p):
-    x, y, z = rotated(rotation, p[0], p[1], p[2])
-    return np.array([x, y, z])
-
-
-@kernel
-def _turned_back(rotation, p):
-    x, y, z = turned_back(rotation, p[0], p[1], p[2])
-    return np.array([x, y, z])
-
-
-@kernel
 def _relative(placings):
     """The Relative of two Placings."""
     to_a, to_b, between = np.empty((2, 3, 3)), np.empty((2, 3, 3)), np.empty((2, 3))
@@ -321,9 +314,8 @@ def _moves(placings, hull):
                 turn[d, e] += b.rotations[1, k, d] * a.rotations[1, k, e]
     most = 0.0
     for k in range(len(hull.x)):
-        x, y, z = rotated(turn, hull.x[k], hull.y[k], hull.z[k])
-        x, y, z = x + shift[0], y + shift[1], z + shift[2]
-        most = max(most, x * x + y * y + z * z)
+        by = to_other(turn, shift, corner_of(hull, k))
+        most = max(most, dot(by, by))
     return math.sqrt(most)
 
 
@@ -352,9 +344,7 @@ def posed_at(surface, placing, share):
 def _mapped(points, rotation, position):
     out = np.empty((len(points), 3))
     for k in range(len(points)):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        for d in range(3):
-            out[k, d] = rotation[d, 0] * x + rotation[d, 1] * y + rotation[d, 2] * z + position[d]
+        put(out, k, to_other(rotation, position, vector(points, k)))
     return out
 
 
@@ -373,39 +363,30 @@ def _undone(placing, share):
 
 
 @query_kernel
-def _local(undone, x, y, z):
-    """The point that an _undone map takes to (x, y, z)."""
-    c, det, t = undone
-    x, y, z = x - t[0], y - t[1], z - t[2]
-    return (
-        (c[0, 0] * x + c[1, 0] * y + c[2, 0] * z) / det,
-        (c[0, 1] * x + c[1, 1] * y + c[2, 1] * z) / det,
-        (c[0, 2] * x + c[1, 2] * y + c[2, 2] * z) / det,
-    )
+def _local(undone, p):
+    """The point that an _undone map takes to p."""
+    cofactors, determinant, offset = undone
+    return divided(turned_back(cofactors, minus(p, offset)), determinant)
 
 
 @query_kernel
 def _placed(placing, row, local):
     """Where a point fixed to a fragment is at one of the poses of its Placing."""
-    return to_other(placing.rotations[row], placing.positions[row], local[0], local[1], local[2])
+    return to_other(placing.rotations[row], placing.positions[row], local)
 
 
-@kernel
+@query_kernel
 def _ways_at_end(placings, n):
-    """Direction n at the end of the step, turned with a and with b: rows (2, 3)."""
-    ways = np.empty((2, 3))
-    for side in range(2):
-        x, y, z = turned_back(placings[side].rotations[0], n[0], n[1], n[2])
-        ways[side, 0], ways[side, 1], ways[side, 2] = rotated(placings[side].rotations[2], x, y, z)
-    return ways
+    """Direction n at the end of the step, turned with a and with b."""
+    a, b = placings
+    return (
+        rotated(a.rotations[2], turned_back(a.rotations[0], n)),
+        rotated(b.rotations[2], turned_back(b.rotations[0], n)),
+    )
 
 
 @query_kernel
 def _gap_at_end(placings, of_a, of_b, ways):
     """Gap [m] of two points at the end of the step along one of `ways`: that which gives the smaller."""
-    px, py, pz = _placed(placings[0], 2, of_a)
-    qx, qy, qz = _placed(placings[1], 2, of_b)
-    x, y, z = qx - px, qy - py, qz - pz
-    return min(
-        x * ways[0, 0] + y * ways[0, 1] + z * ways[0, 2], x * ways[1, 0] + y * ways[1, 1] + z * ways[1, 2]
-    )
+    apart = minus(_placed(placings[1], 2, of_b), _placed(placings[0], 2, of_a))
+    return min(dot(apart, ways[0]), dot(apart, ways[1]))

@@ -16,6 +16,20 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.transforms import rotated, to_other
+from fracture_collision.core.memory.vectors import (
+    between,
+    cross,
+    divided,
+    dot,
+    length,
+    minus,
+    plus,
+    put,
+    scaled,
+    vector,
+    vector_at,
+)
 from fracture_collision.core.mesh.connected_pieces import root_of
 from fracture_collision.core.patches.facing_points import axes_along, box_around, seen_along
 from fracture_collision.core.patches.surface import Surface
@@ -105,8 +119,8 @@ def do_pierce(a, b, poses, n, listed):
     axes, (rows, reach), used = axes_along(n), listed, 0
     turn_a, turn_b = _product(axes, poses[0][0]), _product(axes, poses[1][0])
     of_a, of_b = seen_along(a.corners, turn_a), seen_along(b.corners, turn_b)
-    _move(of_a, axes, poses[0][1])
-    _move(of_b, axes, poses[1][1])
+    _move(of_a, rotated(axes, poses[0][1]))
+    _move(of_b, rotated(axes, poses[1][1]))
     box, slack = _where_both_are(of_a, of_b, reach)
     side_a, side_b = _side_of(a, of_a, poses[0], box, slack), _side_of(b, of_b, poses[1], box, 0.0)
     near, distances = np.empty(len(side_b.blocks), np.int64), np.empty(6)
@@ -138,8 +152,8 @@ def do_listed_pierce(a, b, poses, rows):
     """Whether any of pairs (k, 2) of triangles of two Surfaces pierce each other, see do_pierce: to the last bit."""
     flat, distances = np.empty((2, 13)), np.empty(6)
     for k in range(len(rows)):
-        _put_flat(a, rows[k, 0], poses[0], flat, 0)
-        _put_flat(b, rows[k, 1], poses[1], flat, 1)
+        _put_flat(a, rows[k, 0], poses[0], flat[0])
+        _put_flat(b, rows[k, 1], poses[1], flat[1])
         if _planes_cut(flat, 0, flat, 1, 0.0, distances) and _edges_pierce(flat, 0, flat, 1, distances):
             return True
     return False
@@ -168,15 +182,11 @@ def _product(a, b):
     return out
 
 
-@kernel
-def _move(places, axes, by):
-    """Move places (k, 3), seen along axes, by a vector (3,)."""
-    along = np.zeros(3)
-    for d in range(3):
-        along[d] = axes[d, 0] * by[0] + axes[d, 1] * by[1] + axes[d, 2] * by[2]
+@query_kernel
+def _move(places, by):
+    """Move places (k, 3) by a vector."""
     for k in range(len(places)):
-        for d in range(3):
-            places[k, d] += along[d]
+        put(places, k, plus(vector(places, k), by))
 
 
 @kernel
@@ -212,22 +222,18 @@ def _know(side, k):
     """Write flat of a triangle, if it is not known: few of those that may meet the other have neighbours that do."""
     if not side.is_known[k]:
         side.is_known[k] = True
-        _put_flat(side.surface, side.rows[k], side.pose, side.flat, k)
+        _put_flat(side.surface, side.rows[k], side.pose, side.flat[k])
 
 
 @query_kernel
-def _put_flat(surface, t, pose, flat, k):
-    """Write a triangle of a Surface at a pose to row k, see _flat."""
+def _put_flat(surface, t, pose, out):
+    """Write a triangle of a Surface at a pose to a row of a _flat."""
     turn, place = pose
     for i in range(3):
-        c = surface.triangles[t, i]
-        x, y, z = surface.corners[c, 0], surface.corners[c, 1], surface.corners[c, 2]
-        for d in range(3):
-            flat[k, 3 * i + d] = turn[d, 0] * x + turn[d, 1] * y + turn[d, 2] * z + place[d]
-    x, y, z = surface.normals[t, 0], surface.normals[t, 1], surface.normals[t, 2]
-    for d in range(3):
-        flat[k, 9 + d] = turn[d, 0] * x + turn[d, 1] * y + turn[d, 2] * z
-    flat[k, 12] = flat[k, 9] * flat[k, 0] + flat[k, 10] * flat[k, 1] + flat[k, 11] * flat[k, 2]
+        corner = vector(surface.corners, surface.triangles[t, i])
+        out[3 * i], out[3 * i + 1], out[3 * i + 2] = to_other(turn, place, corner)
+    out[9], out[10], out[11] = rotated(turn, vector(surface.normals, t))
+    out[12] = dot(vector_at(out, 9), out)
 
 
 @query_kernel
@@ -281,7 +287,7 @@ def overlaps_of(a, b, pairs):
     """The Overlaps of two Posed surfaces with these pairs (k, 2) of triangles, k > 0."""
     cut_a, cut_b = _no_cuts(a), _no_cuts(b)
     ends = np.empty((len(pairs), 2, 3))
-    distances, point = np.empty(6), np.empty(3)
+    distances = np.empty(6)
     flat_a, flat_b = _flat(a, pairs[:, 0]), _flat(b, pairs[:, 1])
     for k in range(len(pairs)):
         t, s = pairs[k]
@@ -292,9 +298,7 @@ def overlaps_of(a, b, pairs):
             if share < 0.0:
                 continue
             own, row, i, cut = (flat_a, t, edge, cut_a) if edge < 3 else (flat_b, s, edge - 3, cut_b)
-            j = (i + 1) % 3
-            for d in range(3):
-                point[d] = own[k, 3 * i + d] + share * (own[k, 3 * j + d] - own[k, 3 * i + d])
+            point = between(vector_at(own[k], 3 * i), vector_at(own[k], 3 * ((i + 1) % 3)), share)
             is_going_out = distances[edge] < 0.0
             if share < cut[row, i, 0]:
                 cut[row, i, 0], cut[row, i, 2] = share, 1.0 if is_going_out else 0.0
@@ -304,14 +308,9 @@ def overlaps_of(a, b, pairs):
                 ends[k, end] = point
             found += 1
         # along n_a x n_b the inside of b is on the left, as seen from outside a
-        m, n, way = a.normals[t], b.normals[s], 0.0
-        for d in range(3):
-            e, f = (d + 1) % 3, (d + 2) % 3
-            way += (m[e] * n[f] - m[f] * n[e]) * (ends[k, 1, d] - ends[k, 0, d])
-        if way < 0.0:
-            point[:] = ends[k, 0]
-            ends[k, 0] = ends[k, 1]
-            ends[k, 1] = point
+        way, first, last = cross(vector(a.normals, t), vector(b.normals, s)), vector(ends[k], 0), vector(ends[k], 1)
+        if dot(way, minus(last, first)) < 0.0:
+            ends[k, 0], ends[k, 1] = last, first
     return _joined(a, b, pairs, ends, (_inside(a, cut_a), _inside(b, cut_b)))
 
 
@@ -339,22 +338,19 @@ def _joined(a, b, pairs, ends, inside):
         of_a[t] = number[root_of(parent, t)]
     for t in range(tb):
         of_b[t] = number[root_of(parent, ta + t)]
-    middle, many = np.zeros((count, 3)), np.zeros(count)
+    sums, many = np.zeros((count, 3)), np.zeros(count)
     for k in range(len(pairs)):
         c = of_a[pairs[k, 0]]
         many[c] += 2.0
-        for d in range(3):
-            middle[c, d] += ends[k, 0, d] + ends[k, 1, d]
+        put(sums, c, plus(vector(sums, c), plus(vector(ends[k], 0), vector(ends[k], 1))))
     areas, spreads = np.zeros((count, 3)), np.zeros(count)
     for k in range(len(pairs)):
-        c, square = of_a[pairs[k, 0]], 0.0
-        for d in range(3):
-            e, f = (d + 1) % 3, (d + 2) % 3
-            x = 0.5 * (ends[k, 0, e] - middle[c, e] / many[c]) * (ends[k, 1, f] - middle[c, f] / many[c])
-            x -= 0.5 * (ends[k, 0, f] - middle[c, f] / many[c]) * (ends[k, 1, e] - middle[c, e] / many[c])
-            areas[c, d] += x
-            square += x * x
-        spreads[c] += math.sqrt(square)
+        c = of_a[pairs[k, 0]]
+        middle = divided(vector(sums, c), many[c])
+        first, last = minus(vector(ends[k], 0), middle), minus(vector(ends[k], 1), middle)
+        area = cross(scaled(0.5, first), last)
+        put(areas, c, plus(vector(areas, c), area))
+        spreads[c] += length(area)
     return Overlaps(of_a, of_b, areas, spreads)
 
 
@@ -429,16 +425,14 @@ def in_order(triangles):
 @kernel
 def _flat(posed, rows):
     """Corners [m], normal, and the plane's distance from the origin [m], of triangles (k,): (k, 13)."""
-    out = np.empty((len(rows), 13))
+    flat = np.empty((len(rows), 13))
     for k in range(len(rows)):
-        t = rows[k]
+        t, out = rows[k], flat[k]
         for i in range(3):
-            for d in range(3):
-                out[k, 3 * i + d] = posed.corners[posed.triangles[t, i], d]
-        for d in range(3):
-            out[k, 9 + d] = posed.normals[t, d]
-        out[k, 12] = out[k, 9] * out[k, 0] + out[k, 10] * out[k, 1] + out[k, 11] * out[k, 2]
-    return out
+            out[3 * i], out[3 * i + 1], out[3 * i + 2] = vector(posed.corners, posed.triangles[t, i])
+        out[9], out[10], out[11] = vector(posed.normals, t)
+        out[12] = dot(vector_at(out, 9), out)
+    return flat
 
 
 @query_kernel
@@ -451,7 +445,7 @@ def _planes_cut(a, i, b, j, reach, distances):
     for side in range(2):
         low, high = math.inf, -math.inf
         for k in range(3):
-            d = _above(b, j, a, i, k) if side == 0 else _above(a, i, b, j, k)
+            d = _above(b[j], a[i], k) if side == 0 else _above(a[i], b[j], k)
             distances[3 * side + k] = d
             low, high = min(low, d), max(high, d)
         near = near and low < reach and high > -reach
@@ -461,9 +455,9 @@ def _planes_cut(a, i, b, j, reach, distances):
 
 
 @query_kernel
-def _above(a, i, b, j, corner):
-    x, y, z = b[j, 3 * corner], b[j, 3 * corner + 1], b[j, 3 * corner + 2]
-    return a[i, 9] * x + a[i, 10] * y + a[i, 11] * z - a[i, 12]
+def _above(a, b, corner):
+    """Height [m] of a corner of one row of a _flat above the plane of another."""
+    return dot(vector_at(a, 9), vector_at(b, 3 * corner)) - a[12]
 
 
 @query_kernel
@@ -474,18 +468,15 @@ def _crossing_at(a, i, b, j, edge, distances):
     if not d * e < 0.0:
         return -1.0
     own, m, other, n = (a, i, b, j) if edge < 3 else (b, j, a, i)
-    x, y = _volume(own, m, k, other, n, 0), _volume(own, m, k, other, n, 1)
-    z = _volume(own, m, k, other, n, 2)
+    x, y, z = _volume(own[m], k, other[n], 0), _volume(own[m], k, other[n], 1), _volume(own[m], k, other[n], 2)
     if (x > 0.0 and y > 0.0 and z > 0.0) or (x < 0.0 and y < 0.0 and z < 0.0):
         return d / (d - e)
     return -1.0
 
 
 @query_kernel
-def _volume(a, i, k, b, j, side):
+def _volume(a, k, b, side):
     """Six times the signed volume [m3] of a tetrahedron with side k of one triangle and a side of another."""
-    p, q, r, s = 3 * k, 3 * ((k + 1) % 3), 3 * side, 3 * ((side + 1) % 3)
-    ux, uy, uz = a[i, q] - a[i, p], a[i, q + 1] - a[i, p + 1], a[i, q + 2] - a[i, p + 2]
-    vx, vy, vz = b[j, r] - a[i, p], b[j, r + 1] - a[i, p + 1], b[j, r + 2] - a[i, p + 2]
-    wx, wy, wz = b[j, s] - a[i, p], b[j, s + 1] - a[i, p + 1], b[j, s + 2] - a[i, p + 2]
-    return ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
+    p, q = vector_at(a, 3 * k), vector_at(a, 3 * ((k + 1) % 3))
+    r, s = vector_at(b, 3 * side), vector_at(b, 3 * ((side + 1) % 3))
+    return dot(minus(q, p), cross(minus(r, p), minus(s, p)))

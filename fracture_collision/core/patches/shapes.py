@@ -13,6 +13,7 @@ from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import BACK_SIDE, FRAGMENT, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, Pools
 from fracture_collision.core.memory.struct import Struct
 from fracture_collision.core.memory.tables import Column, Table
+from fracture_collision.core.memory.vectors import area_vector, corners_of, cross, dot, length, minus, vector, vector_at
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
 from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
@@ -121,17 +122,13 @@ def _is_surely_concave(triangles):
     size = max(high[0] - low[0], high[1] - low[1], high[2] - low[2])
     for turn in range(min(LOOKED_AT, len(triangles))):
         c = triangles[turn * len(triangles) // LOOKED_AT if len(triangles) > LOOKED_AT else turn]
-        ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
-        vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        area = math.sqrt(x * x + y * y + z * z)
+        n = area_vector(corners_of(c))
+        area = length(n)
         if not area > CONCAVE * size * size:
             continue  # the plane of a sliver is uncertain
         for t in range(len(triangles)):
             for k in range(0, 9, 3):
-                p = triangles[t]
-                above = x * (p[k] - c[0]) + y * (p[k + 1] - c[1]) + z * (p[k + 2] - c[2])
-                if above > CONCAVE * size * area:
+                if dot(n, minus(vector_at(triangles[t], k), c)) > CONCAVE * size * area:
                     return True
     return False
 
@@ -150,12 +147,13 @@ def shape_of(triangles):
         ridges[r, 0], ridges[r, 1] = row[ridges[r, 0]], row[ridges[r, 1]]
     chosen = corners[points.corners]
     hull = Hull(chosen[:, 0].copy(), chosen[:, 1].copy(), chosen[:, 2].copy(), points.faces, ridges)
-    size, volume = 0.0, 0.0
+    size, volume, o = 0.0, 0.0, (vector(corners, 0) if len(corners) else (0.0, 0.0, 0.0))
     for t in range(len(surface.triangles)):
         p, q, r = surface.triangles[t]
-        a, b, c = corners[p] - corners[0], corners[q] - corners[0], corners[r] - corners[0]
-        volume += a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2])
-        volume += a[2] * (b[0] * c[1] - b[1] * c[0])
+        a, b, c = minus(vector(corners, p), o), minus(vector(corners, q), o), minus(vector(corners, r), o)
+        n = cross(b, c)
+        volume += a[0] * n[0] + a[1] * n[1]
+        volume += a[2] * n[2]
     for d in range(3 if len(corners) else 0):
         size = max(size, corners[:, d].max() - corners[:, d].min())
     return hull, surface, size, len(corners) > 0 and volume / 6.0 >= (1.0 - CONVEX) * points.volume

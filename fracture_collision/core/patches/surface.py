@@ -7,13 +7,25 @@ anew, but does not move it (cut_tetrahedron.py).
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.tables import Column
+from fracture_collision.core.memory.vectors import (
+    area_vector,
+    corners_of,
+    cross,
+    divided,
+    dot,
+    hash_of,
+    length,
+    minus,
+    put,
+    vector,
+    vector_at,
+)
 
 # Sine of the least angle by which the surface turns outwards at an edge: flatter ones are within faces.
 LEAST_TURN = 1e-4
@@ -53,26 +65,21 @@ def make_surface(given):
     used, kept = 0, 0
     for k in range(n):
         c = given[k]
-        ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
-        vx, vy, vz = c[6] - c[0], c[7] - c[1], c[8] - c[2]
-        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        length = math.sqrt(x * x + y * y + z * z)
-        if not length > SLIVER * longest * longest:
+        normal = area_vector(corners_of(c))
+        area = length(normal)
+        if not area > SLIVER * longest * longest:
             continue
         for i in range(3):
-            px, py, pz = c[3 * i], c[3 * i + 1], c[3 * i + 2]
-            place = _hash_of_point(px, py, pz) & (places - 1)
-            while at_place[place] != _NONE:
-                q = corners[at_place[place]]
-                if q[0] == px and q[1] == py and q[2] == pz:
-                    break
+            p = vector_at(c, 3 * i)
+            place = hash_of(p) & (places - 1)
+            while at_place[place] != _NONE and vector(corners, at_place[place]) != p:
                 place = (place + 1) & (places - 1)
             if at_place[place] == _NONE:
                 at_place[place] = used
-                corners[used, 0], corners[used, 1], corners[used, 2] = px, py, pz
+                put(corners, used, p)
                 used += 1
             triangles[kept, i] = at_place[place]
-        normals[kept, 0], normals[kept, 1], normals[kept, 2] = x / length, y / length, z / length
+        put(normals, kept, divided(normal, area))
         kept += 1
     edges, beside = _convex_edges(corners, triangles[:kept], normals)
     corners = corners[:used].copy()
@@ -98,11 +105,9 @@ def _sharp_corners(corners, edges):
 @query_kernel
 def _is_between(p, a, b):
     """Whether p is on the straight line between a and b."""
-    ux, uy, uz = a[0] - p[0], a[1] - p[1], a[2] - p[2]
-    vx, vy, vz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    square = (ux * ux + uy * uy + uz * uz) * (vx * vx + vy * vy + vz * vz)
-    return ux * vx + uy * vy + uz * vz < 0.0 and x * x + y * y + z * z < STRAIGHT * STRAIGHT * square
+    u, v = minus(a, p), minus(b, p)
+    across, square = cross(u, v), dot(u, u) * dot(v, v)
+    return dot(u, v) < 0.0 and dot(across, across) < STRAIGHT * STRAIGHT * square
 
 
 @kernel
@@ -149,15 +154,11 @@ def _convex_edges(corners, triangles, normals):
 @query_kernel
 def _is_convex(begin, end, left, right):
     """Whether the surface turns outwards at an edge; `left` has it from begin to end, `right` the other way round."""
-    ux, uy, uz = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
-    length = math.sqrt(ux * ux + uy * uy + uz * uz)
-    x = left[1] * right[2] - left[2] * right[1]
-    y = left[2] * right[0] - left[0] * right[2]
-    z = left[0] * right[1] - left[1] * right[0]
-    if x * ux + y * uy + z * uz > LEAST_TURN * length:
+    edge = minus(end, begin)
+    if dot(cross(left, right), edge) > LEAST_TURN * length(edge):
         return True
     # a fin without thickness folds back
-    return left[0] * right[0] + left[1] * right[1] + left[2] * right[2] < -1.0 + 1e-5
+    return dot(left, right) < -1.0 + 1e-5
 
 
 @query_kernel
@@ -170,19 +171,6 @@ def _room(entries):
 
 
 @query_kernel
-def _hash_of_point(x, y, z):
-    h = _bits(x) * 0x1F7B1EA1 ^ _bits(y) * 0x2545F491 ^ _bits(z) * 0x5851F42D
-    h = (h ^ (h >> 33)) * 0x62A9D9ED799705F5
-    return h ^ (h >> 29)
-
-
-@query_kernel
 def _hash_of_edge(p, q):
     h = (np.int64(min(p, q)) << 32 | np.int64(max(p, q))) * 0x62A9D9ED799705F5
     return h ^ (h >> 29)
-
-
-@query_kernel
-def _bits(x):
-    """Bits of a number; both zeros have the same."""
-    return np.float64(x + 0.0).view(np.int64)

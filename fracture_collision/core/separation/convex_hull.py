@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.vectors import area_vector, divided, dot, length, minus, plus, put, vector
 
 # Share of the longest side of the points' box. The plane of a sliver as thin as this is wrong by the rounding of
 # doubles over it, far less than this: with a smaller share, planes of slivers would make holes.
@@ -190,12 +191,10 @@ def _first_corners(points):
         if points[high, d] - points[low, d] > widest:
             widest, a, b = points[high, d] - points[low, d], low, high
     farthest = -1.0
-    ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     for k in range(n):
-        wx, wy, wz = points[k, 0] - points[a, 0], points[k, 1] - points[a, 1], points[k, 2] - points[a, 2]
-        x, y, z = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-        if x * x + y * y + z * z > farthest:
-            farthest, c = x * x + y * y + z * z, k
+        area = _twice_area(points, (a, b, k))
+        if dot(area, area) > farthest:
+            farthest, c = dot(area, area), k
     plane = _plane(points, a, b, c)
     farthest, height_of_e = -1.0, 0.0
     for k in range(n):
@@ -210,16 +209,16 @@ def _first_corners(points):
 @query_kernel
 def _plane(points, a, b, c):
     """(x, y, z, offset) of the plane through three points: unit normal, or zeros if they are on a line."""
-    x, y, z = _twice_area(points, (a, b, c))
-    length = math.sqrt(x * x + y * y + z * z)
-    if length > 0.0:
-        x, y, z = x / length, y / length, z / length
-    return x, y, z, x * points[a, 0] + y * points[a, 1] + z * points[a, 2]
+    n = _twice_area(points, (a, b, c))
+    area = length(n)
+    if area > 0.0:
+        n = divided(n, area)
+    return n[0], n[1], n[2], dot(n, vector(points, a))
 
 
 @query_kernel
 def _height(plane, p):
-    return plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
+    return dot(plane, p) - plane[3]
 
 
 @query_kernel
@@ -305,12 +304,11 @@ def _merged(points, its, outside, flat):
     origin = np.int64(_NONE)
     for t in range(m):
         if its.state[t] == _LIVE:
-            x, y, z = _twice_area(points, its.corners[t])
-            area[t] = math.sqrt(x * x + y * y + z * z)
+            normal = _twice_area(points, its.corners[t])
+            area[t] = length(normal)
             if origin == _NONE:
                 origin = its.corners[t, 0]
-            p, q = points[its.corners[t, 0]], points[origin]
-            volume += (x * (p[0] - q[0]) + y * (p[1] - q[1]) + z * (p[2] - q[2])) / 6.0
+            volume += dot(normal, minus(vector(points, its.corners[t, 0]), vector(points, origin))) / 6.0
     for start in np.argsort(-area, kind="mergesort"):
         if its.state[start] != _LIVE or face_of[start] != _NONE:
             continue
@@ -319,10 +317,7 @@ def _merged(points, its, outside, flat):
         while waits:
             waits -= 1
             t = stack[waits]
-            x, y, z = _twice_area(points, its.corners[t])
-            normals[faces, 0] += x
-            normals[faces, 1] += y
-            normals[faces, 2] += z
+            put(normals, faces, plus(vector(normals, faces), _twice_area(points, its.corners[t])))
             for side in range(3):
                 other = its.beyond[t, side]
                 if face_of[other] != _NONE:
@@ -350,19 +345,16 @@ def _merged(points, its, outside, flat):
                 count += 1
     corners = np.flatnonzero(is_corner)
     for f in range(faces):
-        x, y, z = normals[f, 0], normals[f, 1], normals[f, 2]
-        length = math.sqrt(x * x + y * y + z * z)
-        x, y, z = x / length, y / length, z / length
-        offset = -math.inf
+        normal = vector(normals, f)
+        normal, offset = divided(normal, length(normal)), -math.inf
         for p in range(n):
-            offset = max(offset, x * points[p, 0] + y * points[p, 1] + z * points[p, 2])
-        normals[f, 0], normals[f, 1], normals[f, 2], normals[f, 3] = x, y, z, offset
+            offset = max(offset, dot(normal, vector(points, p)))
+        put(normals, f, normal)
+        normals[f, 3] = offset
     return ConvexHull(corners, normals[:faces].copy(), ridges[:count].copy(), volume, outside)
 
 
 @query_kernel
 def _twice_area(points, c):
-    """Normal (x, y, z) of a triangle of three points, of twice its area in length."""
-    ux, uy, uz = points[c[1], 0] - points[c[0], 0], points[c[1], 1] - points[c[0], 1], points[c[1], 2] - points[c[0], 2]
-    vx, vy, vz = points[c[2], 0] - points[c[0], 0], points[c[2], 1] - points[c[0], 1], points[c[2], 2] - points[c[0], 2]
-    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    """Outward normal of a triangle of three points, of twice its area in length."""
+    return area_vector((vector(points, c[0]), vector(points, c[1]), vector(points, c[2])))
