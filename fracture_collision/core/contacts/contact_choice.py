@@ -21,6 +21,7 @@ from fracture_collision.core.contacts.known_samples import (
 )
 from fracture_collision.core.field.elementary_queries import NEAR
 from fracture_collision.core.memory.compiled import query_kernel
+from fracture_collision.core.memory.vectors import dot, minus, vector
 
 # Columns of scratch.node_int, node_float and spread, for candidate samples.
 ENTRY, SIDE, NUMBER, ANSWER = 0, 1, 2, 3
@@ -132,10 +133,10 @@ def choose(rule, count, scratch):
 def _see_chosen(chosen, end, scratch):
     """Update how far the samples up to `end` are from the chosen ones; the last chosen is row `chosen`."""
     point, far = scratch.node_float, scratch.spread[FAR]
-    x, y, z = point[chosen, 0], point[chosen, 1], point[chosen, 2]
+    last = vector(point, chosen)
     for k in range(chosen + 1, end):
-        dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
-        far[k] = min(far[k], dx * dx + dy * dy + dz * dz)
+        apart = minus(vector(point, k), last)
+        far[k] = min(far[k], dot(apart, apart))
 
 
 @query_kernel

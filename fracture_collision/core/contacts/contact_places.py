@@ -8,6 +8,8 @@ import numpy as np
 
 from fracture_collision.core.contacts.known_samples import ID_SAMPLE, ID_SIDE
 from fracture_collision.core.memory.compiled import query_kernel
+from fracture_collision.core.memory.transforms import rotated, to_other
+from fracture_collision.core.memory.vectors import dot, minus, put, scaled, vector_at
 
 
 class WorldContacts(NamedTuple):
@@ -32,23 +34,14 @@ def put_in_world(step, p, sink, c, out, o):
     """Write contact `c` of a Sink, found for pair `p` of a Step, to row `o` of WorldContacts."""
     row, ids = sink.contacts[c], sink.ids[c]
     side = ids[ID_SIDE]
-    other = step.pairs[p, 1] if side == 0 else step.pairs[p, 0]
-    r, t = step.rotations[other], step.positions[other]
+    frame = step.pairs[p, 1] if side == 0 else step.pairs[p, 0]
+    r, t = step.rotations[frame], step.positions[frame]
     points_a, points_b, normals, gaps, samples = out
-    own_point, other_point = (points_a[o], points_b[o]) if side == 0 else (points_b[o], points_a[o])
-    _to_world(r, t, row[0], row[1], row[2], own_point)
-    _to_world(r, t, row[3], row[4], row[5], other_point)
-    sign = -1.0 if side == 0 else 1.0
-    gap = 0.0
-    for d in range(3):
-        n = sign * (r[d, 0] * row[6] + r[d, 1] * row[7] + r[d, 2] * row[8])
-        normals[o, d] = n
-        gap += n * (points_b[o, d] - points_a[o, d])
-    gaps[o] = gap
+    own, other = to_other(r, t, row), to_other(r, t, vector_at(row, 3))
+    a, b = (own, other) if side == 0 else (other, own)
+    n = scaled(-1.0 if side == 0 else 1.0, rotated(r, vector_at(row, 6)))
+    put(points_a, o, a)
+    put(points_b, o, b)
+    put(normals, o, n)
+    gaps[o] = 0.0 + dot(n, minus(b, a))  # 0.0 +: never -0.0
     samples[o, 0], samples[o, 1] = side, ids[ID_SAMPLE]
-
-
-@query_kernel
-def _to_world(rotation, position, x, y, z, out):
-    for k in range(3):
-        out[k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z + position[k]

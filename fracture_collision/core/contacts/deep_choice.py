@@ -29,6 +29,7 @@ from fracture_collision.core.field.flood import EVERYTHING, nearest_in_tetrahedr
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.heap import pop, push
 from fracture_collision.core.memory.kinds import is_mesh
+from fracture_collision.core.memory.vectors import dot, minus, vector
 from fracture_collision.core.samples.sample_leaves import farthest_sample, leaves_of, nearest_sample
 
 # Maximum number of exit directions of deep samples, kept to bound the depth of others.
@@ -140,8 +141,8 @@ def _farthest(pools, pair, rule, slack, count, chosen, waiting, scratch):
 @query_kernel
 def _apart(point, i, j):
     """Squared distance of two samples [m2]."""
-    dx, dy, dz = point[i, 0] - point[j, 0], point[i, 1] - point[j, 1], point[i, 2] - point[j, 2]
-    return dx * dx + dy * dy + dz * dz
+    apart = minus(vector(point, i), vector(point, j))
+    return dot(apart, apart)
 
 
 @query_kernel
@@ -190,8 +191,7 @@ def _find_deepest(pools, pair, slack, count, scratch):
                 deep = min(key, nearest_sample(leaves, x - m[0], y - m[1], z - m[2], scratch.along) + slack)
             for w in range(known):
                 if ways[w, 4] == side.number:
-                    along = ways[w, 0] * x + ways[w, 1] * y + ways[w, 2] * z
-                    deep = min(deep, ways[w, 3] - along)
+                    deep = min(deep, ways[w, 3] - dot(vector(ways, w), (x, y, z)))
             if deep < key:
                 if deep >= deepest:
                     push(keys, items, waiting, -deep, k)
@@ -210,7 +210,7 @@ def _find_deepest(pools, pair, slack, count, scratch):
         if known < MOST_WAYS:
             n, way = (answer.nx, answer.ny, answer.nz), ways[known]
             _, reach = farthest_sample(leaves, n, 0, scratch.along)
-            farthest = n[0] * m[0] + n[1] * m[1] + n[2] * m[2] + reach + m[3] + slack
-            way[0], way[1], way[2], way[3], way[4] = n[0], n[1], n[2], farthest, side.number
+            way[0], way[1], way[2] = n
+            way[3], way[4] = dot(n, m) + reach + m[3] + slack, side.number
             known += 1
     return deepest

@@ -13,7 +13,8 @@ from fracture_collision.core.fracture.crack_seeds import find_seeds
 from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, is_bounded
 from fracture_collision.core.memory.pools import NEVER_BROKEN
-from fracture_collision.core.memory.rotations import to_other
+from fracture_collision.core.memory.transforms import to_other
+from fracture_collision.core.memory.vectors import distance
 from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
 from fracture_collision.core.mesh.sample_numbers import (
     FIRST_NODE,
@@ -88,9 +89,9 @@ class Placed(NamedTuple):
 def placed(pools, side, entry):
     """The Placed sample of row `entry` of SamplePool, a sample of this Side."""
     point, sample = pools.samples.points[entry], pools.samples.numbers[entry]
-    x, y, z = to_other(side.rotation, side.translation, point[0], point[1], point[2])
+    x, y, z = to_other(side.rotation, side.translation, point)
     start = home_tetrahedron(pools, side.other, sample) if side.one_body else -1
-    moved = moved_since(point, x, y, z) if side.one_body else math.inf
+    moved = distance((x, y, z), point) if side.one_body else math.inf
     return Placed(np.int64(sample), x, y, z, np.int64(start), moved, moved + side.slack)
 
 
@@ -106,13 +107,6 @@ def home_tetrahedron(pools, f, sample):
         edge, _ = edge_of(first, sample)
         return mesh.edge_tets[edge]
     return tetrahedron_of(first, sample)
-
-
-@query_kernel
-def moved_since(point, x, y, z):
-    """Distance [m] of a point (3,) from its place in the unbroken body; (x, y, z): in the other's frame."""
-    dx, dy, dz = x - point[0], y - point[1], z - point[2]
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @query_kernel
@@ -187,8 +181,8 @@ def query_seeds(pools, pair, wanted, near, sink, scratch):
         end_of_own = 0 if body.node_fragment[mesh.edges[e, 0] + fragment.node_shift[a]] == own else 1
         share = body.edge_share[e + fragment.edge_shift[a]]
         point_on_edge(mesh.nodes, mesh.edges[e, 0], mesh.edges[e, 1], share, point)
-        x, y, z = to_other(rotation[side], translation[side], point[0], point[1], point[2])
-        moved = moved_since(point, x, y, z)
+        x, y, z = to_other(rotation[side], translation[side], point)
+        moved = distance((x, y, z), point)
         number = np.int64(crossing_number(mesh.first[fragment.mesh[a]], e, end_of_own))
         sample = Placed(number, x, y, z, np.int64(mesh.edge_tets[e]), moved, moved + slack)
         answer = ask_sample(pools, other, sample, near, math.inf, False, scratch)

@@ -1,4 +1,4 @@
-"""Transforms of points between fragment frames."""
+"""Rotations and poses; transforms of points given by three numbers (of tuples: transforms.py)."""
 
 from __future__ import annotations
 
@@ -20,16 +20,6 @@ def to_other(rotation, translation, x, y, z):
     """Apply rotation (3, 3), then translation (3,) [m] to the point (x, y, z)."""
     x, y, z = rotated(rotation, x, y, z)
     return x + translation[0], y + translation[1], z + translation[2]
-
-
-@query_kernel
-def turned_back(rotation, x, y, z):
-    """Apply the inverse of rotation (3, 3) to (x, y, z)."""
-    return (
-        rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
-        rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
-        rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z,
-    )
 
 
 @query_kernel
