@@ -87,6 +87,22 @@ def test_pairs_that_exceed_their_buffer_are_searched_again(monkeypatch) -> None:
             assert record_bytes(world.contacts(states)) == reference
 
 
+@pytest.mark.parametrize("kind", ["mixed", "tetrahedra"])
+def test_so_are_pairs_whose_contacts_ahead_exceed_it(kind: str, monkeypatch) -> None:
+    world, states = crowd(kind, 40, 1.5, contacts_per_pair=30, threads=2, lookahead=0.05)
+    linear, angular = np.random.default_rng(7).uniform(-9.0, 9.0, (2, len(states.positions)))
+    states = states._replace(linear_velocities=linear, angular_velocities=angular)
+    expected = world.contacts(states)
+    assert (expected.gaps > 0.1).sum() > 20
+    for room in (1, 7, 30, 100):
+        monkeypatch.setattr("fracture_collision.core.search.passes.LEAST_ROOM", room)
+        monkeypatch.setattr("fracture_collision.core.search.passes.FIRST_ROOM", 0)
+        for threads in (1, 2):
+            world.change_settings(world.settings._replace(threads=threads))
+            world.forget()
+            assert record_bytes(world.contacts(states)) == record_bytes(expected)
+
+
 @pytest.mark.parametrize("kind", ["exact field", "averaged field", "ours"])
 @pytest.mark.parametrize("limits", [{"max_contacts": 60}, {"max_contacts": 3}, {"max_work": 50}], ids=str)
 def test_the_bound_covers_contacts_omitted_by_a_limit(limits: dict, kind: str) -> None:

@@ -13,8 +13,6 @@ from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.pair import Step
 from fracture_collision.core.pair.pair_search import (
     CONVEX,
-    ROUND,
-    SAMPLED,
     Work,
     by_kind,
     search_ahead,
@@ -43,9 +41,6 @@ from fracture_collision.core.search.neighbour_lists import (
 from fracture_collision.core.search.passes import NO_ROOM, Passes, Results
 from fracture_collision.core.search.scratch import Scratch
 from fracture_collision.grouping import begins_of
-
-# Searches of pairs at the poses of now; search_ahead goes on from there.
-AT_POSES = ((ROUND, search_round), (SAMPLED, search_sampled))
 
 
 class Remembered(NamedTuple):
@@ -80,12 +75,12 @@ def query_pairs(
     """
     geometry, step = scene.geometry, scene.step
     search = Passes(step, scratch, crew)
-    counts, bounds, visits, exhausted, _, is_ahead = search.columns
+    counts, bounds, visits, exhausted, clear, is_ahead = search.columns
     stands_at, todo = np.full(len(counts), -1), np.arange(len(counts))
     if rule.every > 1:
         _search(search, scene, rule, NO_SLOTS.lists, Work(todo, stands_at, stands_at >= 0, scene.motion.time > 0.0))
         if scene.whole is not None:
-            bound_unsearched(geometry, (step, todo[search.columns[4] <= 0.0]), rule, bounds, scratch[0])
+            bound_unsearched(geometry, (step, todo[clear <= 0.0]), rule, bounds, scratch[0])
         return PairContacts(counts, bounds, visits, exhausted, *search.gather(begins_of(counts))), NOTHING_REMEMBERED
     kept, slots, known = with_pairs(before.slots, pair_keys(step.rows, step.pairs))
     poses = pose_bits(step.rotations, step.positions)
@@ -111,19 +106,18 @@ def query_pairs(
 
 def _search(search: Passes, scene: Scene, rule: Rule, lists: NeighbourLists, work: Work) -> None:
     """Search the pairs of a Work, each by the search of its kind, then ahead."""
-    geometry, moving = scene.geometry, (scene.step, scene.motion)
+    geometry, moving, step = scene.geometry, (scene.step, scene.motion), scene.step
+    searches = (search_convex, moving), (search_round, step), (search_sampled, step)  # by kind
     again = False
     while len(work.todo):
         out = search.new(work.todo, again)
-        todo, counts = by_kind(geometry, scene.step, work.todo)
-        ends = np.cumsum(counts).tolist()
-        for kind, query, at in ((CONVEX, search_convex, moving), *((k, q, scene.step) for k, q in AT_POSES)):
-            own = todo[ends[kind] - counts[kind] : ends[kind]]
+        todo, counts = by_kind(geometry, step, work.todo)
+        for (query, at), own in zip(searches, np.split(todo, np.cumsum(counts)[:-1]), strict=True):
             if len(own):
                 search.run(query, geometry, lists, at, rule, work._replace(todo=own), out)
         left = todo[out.begin[todo] == NO_ROOM]
         if work.for_motion:
-            own = todo[ends[CONVEX] :]
+            own = todo[counts[CONVEX] :]
             _search_ahead(search, scene, rule, lists, work._replace(todo=own[out.begin[own] != NO_ROOM]), out)
         work, again = Work(left, np.full(len(work.slots), -1), work.known, work.for_motion), True
 
@@ -132,7 +126,8 @@ def _search_ahead(
     search: Passes, scene: Scene, rule: Rule, lists: NeighbourLists, work: Work, now: Results
 ) -> None:  # fmt: skip
     """Search ahead for the pairs of a Work whose contacts of now are in `now`."""
-    again = False
+    # a search that has no room writes how many contacts there are in all to the columns that all Results share
+    now, again = now._replace(counts=now.counts.copy()), False
     while len(work.todo):
         out = search.new(work.todo, again)
         search.run(search_ahead, scene.geometry, lists, (scene.step, scene.motion), rule, (work, now), out)

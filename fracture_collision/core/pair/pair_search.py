@@ -42,7 +42,7 @@ from fracture_collision.core.search.work_limit import BY_LIMIT, COMPLETE
 from fracture_collision.core.separation.oriented_boxes import box_clearance
 
 NOT_FOUND = -1  # contacts, where another search must be run
-# Which search a pair gets.
+# Which search a pair gets; by_kind sorts them in this order.
 CONVEX, ROUND, SAMPLED = 0, 1, 2
 KINDS = 3
 
@@ -168,7 +168,10 @@ def search_ahead(geometry, lists, moving, rule, work, out, scratch, part):
         p = work.todo[k]
         pair, sink = put_pair(step, p, scratch.rotation, scratch.translation), room_of(out, thread)
         count, first = now.counts[p], now.begin[p]
-        for c in range(min(count, len(sink.contacts))):
+        if count > len(sink.contacts):
+            out.begin[p], out.counts[p] = NO_ROOM, count
+            continue
+        for c in range(count):
             copy_contact(now, first + c, sink, c)
         two = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
         found = Found(count, out.bounds[p], out.visits[p], out.exhausted[p], out.clear[p])
@@ -180,8 +183,9 @@ def search_ahead(geometry, lists, moving, rule, work, out, scratch, part):
         elif is_ahead:
             out.is_ahead[p], now.begin[p] = True, ELSEWHERE
             keep_found(out, p, thread, found)
-        else:
-            out.bounds[p], out.visits[p], out.exhausted[p] = found.bound, found.visits, found.exhausted
+        else:  # the contacts of now are where they were
+            out.counts[p], out.bounds[p] = count, found.bound
+            out.visits[p], out.exhausted[p] = found.visits, found.exhausted
 
 
 @query_kernel
