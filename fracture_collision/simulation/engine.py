@@ -102,10 +102,12 @@ class ByFragment(NamedTuple):
 
     def of(self, fragment_ids: np.ndarray) -> np.ndarray:
         """(m, ...) the values of `fragment_ids` (m,), ascending; 0 for fragments that are not among these."""
-        values = np.zeros((len(fragment_ids), *self.values.shape[1:]), self.values.dtype)
-        _, own, these = np.intersect1d(fragment_ids, self.fragment_ids, assume_unique=True, return_indices=True)
-        values[own] = self.values[these]
-        return values
+        none = np.zeros((1, *self.values.shape[1:]), self.values.dtype)
+        return np.concatenate((self.values, none))[rows_of(fragment_ids, self.fragment_ids)]
+
+    def have(self, fragment_ids: np.ndarray) -> np.ndarray:
+        """(m,) bool: whether `fragment_ids` (m,) are among these."""
+        return rows_of(fragment_ids, self.fragment_ids) < len(self.fragment_ids)
 
 
 class _Bodies(NamedTuple):

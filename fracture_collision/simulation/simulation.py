@@ -114,6 +114,7 @@ class Simulation:
         self._memory = contact_memory.NOTHING
         self._rest = sleep.NOBODY
         self._requested: FragmentStates | None = None
+        self._searched: tuple[BodyStates, BodyStates] | None = None  # of the request, and as they are searched
         self._planned: Planned | None = None  # of this step, where the service gets the pushes in advance
         self._taken = NO_CHANGES  # by contacts in the last step
         self.shares = np.ones(0)  # of their courses in the last step, for which bodies moved: see touch_ahead
@@ -189,7 +190,9 @@ class Simulation:
             self._expected = self._expect(states, self._waited) if len(states.masses) else NOTHING
             self._waited = None
         others = self._cast.static_frames | {i: self._falling(frame) for i, frame in self._cast.waiting.items()}
-        requested = fragment_states(self._step, self._sequence, self._to_search(self._engine.states()), others)
+        states = self._engine.states()
+        self._searched = states, self._to_search(states)
+        requested = fragment_states(self._step, self._sequence, self._searched[1], others)
         self._requested = requested._replace(body_sequence=self._cast.body_sequence)
         return StepRequest(self._requested, self._cast.take_news(), list(self._events))
 
@@ -281,7 +284,11 @@ class Simulation:
         contacts, self._memory = with_remembered(contacts, requested, self._memory, reach)
         gaps = rest_gaps_of(self._memory, shared.is_one_body, settings.rest_gap * shared.sizes)
         pairs = self._body_pairs(shared, gaps)
-        searched = _velocities(self._to_search(states)) if self._looks_ahead else None
+        searched = None
+        if self._looks_ahead:  # with the bodies of the request, or with more that had waited for the registry
+            if self._searched is None or self._searched[0] is not states:
+                self._searched = states, self._to_search(states)
+            searched = _velocities(self._searched[1])
         if self._planned is None:
             pushes = self._pushes(states)
         else:
@@ -308,7 +315,7 @@ class Simulation:
         rates = (bodies.spans / time_step)[:, None]
         moves = rates * (solution.velocities + solution.drift + solved.flight)
         falls = rates * (bodies.free_velocities - bodies.velocities)[:, :3]
-        is_expected = np.isin(states.fragment_ids, self._expected.velocities.fragment_ids)
+        is_expected = self._expected.velocities.have(states.fragment_ids)
         course = Course(moves, solved.searched, falls, is_expected)
         self.shares = shares_of_step(states, solved.contacts, course, forms, settings, time_step)
         moved = self.shares * bodies.spans
@@ -392,12 +399,12 @@ class Simulation:
         if self._planned is not None:
             velocities = velocities + self._planned.expected.of(ids)
         free = free_velocities(velocities, states.inertias, self._scene.gravity, spans)
-        asleep = np.isin(ids, self._rest.fragment_ids[self._rest.asleep])
+        asleep = ByFragment(self._rest.fragment_ids, self._rest.asleep).of(ids)
         linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
         angular = mean_spins(velocities[:, 3:], free[:, 3:], states.inertias, spans)
         known = self._expected.velocities
         if len(known.fragment_ids):
-            moves, is_known = known.of(ids), np.isin(ids, known.fragment_ids)[:, None]
+            moves, is_known = known.of(ids), known.have(ids)[:, None]
             linear, angular = np.where(is_known, moves[:, :3], linear), np.where(is_known, moves[:, 3:], angular)
         rates = (spans / self._scene.time_step)[:, None]
         return states._replace(linear=rates * linear, angular=rates * angular)

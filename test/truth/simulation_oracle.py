@@ -48,7 +48,7 @@ class Oracle:
         poses = {i: (np.zeros(3), np.eye(3)) for i, b in self.bodies.items() if b.is_static}
         for row, i in enumerate(states.fragment_ids):
             rotation = Rotation.from_quat(states.orientations[4 * row : 4 * row + 4]).as_matrix()
-            poses[int(i)] = (states.positions[3 * row : 3 * row + 3], rotation)
+            poses[int(i)] = (states.positions[row], rotation)
         pairs = []
         ids = sorted(poses)
         for k, a in enumerate(ids):

@@ -171,10 +171,9 @@ def _without_hooks(contacts, boxes):
             np.put_along_axis(behind, face, np.inf, axis=1)
             of_face = np.take_along_axis(normal, face, axis=1)[:, 0] > 1.0 - ON_FACE
             kept[mine[of_face & (behind.min(axis=1) < HOOK)]] = False
-    three = np.repeat(kept, 3)
     return contacts._replace(
         pair_begin=np.concatenate(([0], np.cumsum(kept)))[begin], contact_ids=contacts.contact_ids[kept],
-        points_a=contacts.points_a[three], points_b=contacts.points_b[three], normals=contacts.normals[three],
+        points_a=contacts.points_a[kept], points_b=contacts.points_b[kept], normals=contacts.normals[kept],
         gaps=contacts.gaps[kept],
     )  # fmt: skip
 

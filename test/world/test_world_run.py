@@ -161,7 +161,7 @@ def test_mass_and_first_moment_pass_from_parent_to_pieces(body) -> None:
     def remember(registry) -> None:
         for i, fragment in enumerate(registry.fragment_ids.tolist()):
             masses[fragment] = registry.masses[i]
-            moments[fragment] = registry.masses[i] * registry.centers_of_mass[3 * i : 3 * i + 3]
+            moments[fragment] = registry.masses[i] * registry.centers_of_mass[i]
 
     remember(whole.fragments())
     size = np.ptp(case.oracle.vertices, axis=0).max()

@@ -54,7 +54,7 @@ def roused(
     )
     gone = np.setdiff1d(before.fragment_ids, fragment_ids, assume_unique=True)
     rouse = is_pushed.copy()
-    for one, other in (touched, touched[::-1]):
+    for one, other in (touched, touched[::-1]) if len(gone) else ():
         rouse |= np.isin(fragment_ids, one[np.isin(other, gone)])
     quiet[rouse], asleep[rouse], moved[rouse] = 0.0, False, 0.0
     return Rest(fragment_ids, quiet, asleep, moved)
