@@ -2,7 +2,7 @@
 
     python benchmarks/field_errors.py
 
-Prints the tables of docs/numerics.md, 'The two fields', and writes docs/field_errors.csv and docs/field_errors.png.
+Prints the tables of docs/accuracy.md, 'The two fields', and writes docs/field_errors.csv and docs/field_errors.png.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     python benchmarks/flood_cost.py
 
-Prints the tables of docs/numerics.md, 'What a flood costs', and writes docs/flood_cost.png. The service's kernel has no
+Prints the tables of docs/accuracy.md, 'Cost of a depth', and writes docs/flood_cost.png. The service's kernel has no
 counters; the counts come from a plain twin, whose distances must equal the kernel's.
 """
 

@@ -1,4 +1,4 @@
-"""Prints the figures of docs/numerics.md: the service against slow oracles; takes about four minutes."""
+"""Prints the figures of docs/accuracy.md: the service against slow oracles; takes about four minutes."""
 
 from __future__ import annotations
 

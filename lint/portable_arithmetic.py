@@ -43,7 +43,7 @@ GENERATOR = {
     "chisquare", "multivariate_normal", "poisson", "binomial", "laplace", "logistic", "gumbel", "weibull", "pareto",
     "rayleigh", "wald", "vonmises", "triangular", "power", "dirichlet",
 }  # fmt: skip
-KERNELS = {"kernel", "query_kernel", "inlined_kernel", "threaded_kernel", "uncounted", "njit"}
+KERNELS = {"kernel", "query_kernel", "threaded_kernel", "uncounted", "njit"}
 
 
 def violations(source: str, file: str) -> Iterator[tuple[int, str, str]]:

@@ -23,6 +23,16 @@ def stage(tmp_path: Path) -> Iterator[StageWithClients]:
 
 
 @pytest.fixture(scope="module")
+def shared_stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StageWithClients]:
+    """A stage for all tests of a module."""
+    from stages.ros_stage import StageWithClients
+
+    made = StageWithClients(tmp_path_factory.mktemp("shared"))
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """A running Chromium; without one the test is skipped."""
     from stages.browser import chromium

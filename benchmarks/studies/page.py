@@ -45,7 +45,7 @@ were running.
 - *How large a scene?* Query time grows with the number of pairs whose boxes overlap. Piles of up to 2,000 fragments
   were measured ("Scaling, memory and ROS overhead").
 - *Thin bodies at high speed?* Use `lookahead`. "Lookahead: tunnelling between steps" has the results at up to 200 m/s,
-  [numerics.md](numerics.md), "Looking ahead", the cost.
+  [accuracy.md](accuracy.md), "Motion", the cost.
 
 "Lower bounds", "Piles", "Two threads", "Time per visited node", Tables 1 to 3, Fig. 5, 12, 16 and 17 and the resolution
 of the sphere were measured before the methods `exact` and `glondu2014` were told apart: exact distances, normals that

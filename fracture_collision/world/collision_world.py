@@ -16,7 +16,6 @@ from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.pair import Step
 from fracture_collision.core.pair.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
 from fracture_collision.core.pair.narrow_phase import NOTHING_REMEMBERED, Remembered, Scene, query_pairs
-from fracture_collision.core.pair.pair_search import Geometry
 from fracture_collision.core.patches.interlocked import SurfaceTable
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.passes import within_limit
@@ -185,7 +184,7 @@ class CollisionWorld:
             paper = geometry.paper.pools
             ranges = paper.trees.ranges[:, 0], paper.trees.ranges[:, 1]
         self._scratch = scratch_for(
-            len(pools.mesh.tetrahedra), ranges, step.rows, threads, self._scratch, geometry.ridges
+            len(pools.mesh.tetrahedra), ranges, step.rows, threads, self._scratch, geometry.searched.edges
         )
         own = self._scratch, self._crew
         if geometry.paper is not None:
@@ -196,8 +195,7 @@ class CollisionWorld:
 
     def _scene(self, step: Step, motion: Motion) -> Scene:
         geometry = self._registry.geometry
-        parts = Geometry(geometry.pools, geometry.ridges, geometry.shapes)
-        return Scene(parts, step, motion, self._registry.changes, self._whole_surfaces())
+        return Scene(geometry.searched, step, motion, self._registry.changes, self._whole_surfaces())
 
     @property
     def geometry(self) -> CollisionGeometry:

@@ -58,8 +58,9 @@ class Registry:
         self.changes += 1
         del self._bodies[body_id]
         self._broke_at.pop(body_id, None)
-        rows = [self._living.remove(fragment_id) for fragment_id in self._fragments_of.pop(body_id)]
-        self.geometry.retire_body(np.array(sorted(rows)))
+        for fragment_id in self._fragments_of.pop(body_id):
+            self._living.remove(fragment_id)
+        self.geometry.retire_body()
         self._reclaim_memory()
 
     def apply(self, event: CheckedFracture) -> None:

@@ -20,10 +20,10 @@ BAR = brick((1.0, 0.5, 0.5), 0.5)
 
 def cache_is_cold() -> bool:
     """Whether the largest kernel is not in the cache: the first start compiles."""
-    from fracture_collision.core.pair.narrow_phase import _query_share
+    from fracture_collision.core.pair.pair_search import search_sampled
     from fracture_collision.kernel_sources import is_cached  # a node announces itself before numba is imported
 
-    return not is_cached(_query_share)
+    return not is_cached(search_sampled)
 
 
 def compile_kernels(progress: Callable[[str], None]) -> None:

@@ -13,33 +13,31 @@ from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from stages.bag_of_records import write_bag
+from worlds.recorded_pane import write_bag as write
 
 from fracture_collision import msg as messages
 from fracture_collision.bag.exchanges import deserialize_record, read_runs, registry_settings, serialize_record
 from fracture_collision.bag.mcap_file import BagError
-from fracture_collision.bag.reader import SETTINGS, message_counts, read_messages, topic_digest, without_run_id
-from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
+from fracture_collision.bag.reader import (
+    SETTINGS,
+    BagMessage,
+    message_counts,
+    read_messages,
+    topic_digest,
+    without_run_id,
+)
+from fracture_collision.bag.writer import BagWriter
 from fracture_collision.records import SPHERE, CollisionBody, ContactConstraintArray, FragmentStates, SolidPrimitive
 from fracture_collision.replay import InProcess, Replay, Report, settings_of
+from fracture_collision.ros.nodes.recorder_node import bag_topic
+from fracture_collision.ros.runs.scene_recording import TOPICS
 from fracture_collision.ros.wire.conversion import heading, to_message
-from fracture_collision.ros.wire.message_definitions import message_definition, type_hash, type_name
+from fracture_collision.ros.wire.qos import STEP_DEPTH
 from fracture_collision.world import CollisionWorld, Settings
 from fracture_collision.world.settings import settings_text
 
 RANDOM = np.random.default_rng(5)
 STEP_NS = 2_500_000
-
-
-def topic(name: str, message_class, qos: OfferedQos) -> BagTopic:
-    return BagTopic(name, type_name(message_class), message_definition(message_class), type_hash(message_class), qos)
-
-
-EACH_STEP = OfferedQos("keep_last", 1, "reliable", "volatile")
-TOPICS = [
-    topic("/bodies", messages.CollisionBody, OfferedQos("keep_all", 0, "reliable", "transient_local")),
-    topic("/fragment_states", messages.FragmentStates, EACH_STEP),
-    topic("/contact_constraints", messages.ContactConstraintArray, EACH_STEP),
-]
 
 
 def states(step: int) -> FragmentStates:
@@ -55,24 +53,17 @@ def contacts(step: int) -> ContactConstraintArray:
     )  # fmt: skip
 
 
-def recording(steps: int = 40) -> list[tuple[str, bytes, int]]:
+def recording(steps: int = 40) -> list[BagMessage]:
     body = messages.CollisionBody(body_id=1, name="plate")
-    result = [("/bodies", serialize_message(body), 0)]
+    result = [BagMessage("/bodies", 0, serialize_message(body))]
     for step in range(steps):
         for name, record in (("/fragment_states", states(step)), ("/contact_constraints", contacts(step))):
             data = serialize_message(to_message(record, heading(step * 0.0025), run_id=9))
-            result.append((name, data, step * STEP_NS))
+            result.append(BagMessage(name, step * STEP_NS, data))
     return result
 
 
-def write(folder: Path, content: list[tuple[str, bytes, int]]) -> Path:
-    with BagWriter(folder, TOPICS) as bag:
-        for name, data, nanoseconds in content:
-            bag.write(name, data, nanoseconds)
-    return folder
-
-
-def shuffled_across_topics(content: list[tuple[str, bytes, int]]) -> list[tuple[str, bytes, int]]:
+def shuffled_across_topics(content: list[BagMessage]) -> list[BagMessage]:
     """A possible DDS delivery: in order on each topic, a few messages early or late across topics."""
     keys = [i + RANDOM.uniform(0, 6) * (entry[0] == "/contact_constraints") for i, entry in enumerate(content)]
     latest: dict[str, float] = {}
@@ -96,16 +87,17 @@ def test_equal_content_gives_equal_bytes(tmp_path: Path) -> None:
 def test_messages_are_read_as_they_were_written(tmp_path: Path) -> None:
     content = recording(400)  # more than the sorting buffer holds
     bag = write(tmp_path / "bag", content)
-    assert [tuple(message) for message in read_messages(bag)] == [(name, time, data) for name, data, time in content]
-    assert message_counts(bag) == {"/bodies": 1, "/fragment_states": 400, "/contact_constraints": 400}
+    assert list(read_messages(bag)) == content
+    counts = {"/bodies": 1, "/fracture_events": 0, "/fragment_states": 400, "/contact_constraints": 400}
+    assert message_counts(bag) == counts
     with pytest.raises(FileExistsError):
-        BagWriter(bag, TOPICS)
+        write(bag, [])
 
 
 def test_digests_differ_by_stream_and_ignore_repeated_messages(tmp_path: Path) -> None:
     content = recording()
     repeated = content[:2] + content[1:]
-    changed = [*content[:-1], (content[-1][0], content[-3][1], content[-1][2])]
+    changed = [*content[:-1], content[-1]._replace(data=content[-3].data)]
     bags = [write(tmp_path / str(i), each) for i, each in enumerate((content, repeated, changed))]
     plain, twice, other = (topic_digest(bag, "/contact_constraints") for bag in bags)
     assert plain == twice != other
@@ -124,7 +116,7 @@ def test_digests_ignore_run_ids(frame: str, tmp_path: Path) -> None:
         for record, run_id in ((answer, 9), (answer, 2**62 - 1), (answer._replace(step=8), 9))
     ]
     bags = [
-        write(tmp_path / str(i), [("/contact_constraints", data, STEP_NS)]) for i, data in enumerate(messages)
+        write(tmp_path / str(i), [BagMessage("/contact_constraints", STEP_NS, data)]) for i, data in enumerate(messages)
     ]
     one, same, other = (topic_digest(bag, "/contact_constraints") for bag in bags)
     assert one == same != other
@@ -132,16 +124,16 @@ def test_digests_ignore_run_ids(frame: str, tmp_path: Path) -> None:
 
 
 def test_rosbags_reads_it(tmp_path: Path) -> None:
-    bag = write(tmp_path / "bag", recording())
+    bag, topics = write(tmp_path / "bag", recording()), [bag_topic(f"/{topic.name}", topic) for topic in TOPICS]
     with AnyReader([bag]) as reader:
         assert (reader.message_count, reader.start_time) == (81, 0)
         assert reader.duration == 39 * STEP_NS + 1  # rosbags counts to the end of the last nanosecond
         by_name = {connection.topic: connection for connection in reader.connections}
-        assert {name: c.msgtype for name, c in by_name.items()} == {t.name: t.message_type for t in TOPICS}
-        assert all(connection.digest == t.type_hash for t in TOPICS for connection in [by_name[t.name]])
+        assert {name: c.msgtype for name, c in by_name.items()} == {t.name: t.message_type for t in topics}
+        assert all(by_name[t.name].digest == t.type_hash for t in topics)
         latched, each_step = (by_name[name].ext.offered_qos_profiles[0] for name in ("/bodies", "/fragment_states"))
         assert (latched.history, latched.durability) == (QosHistory.KEEP_ALL, QosDurability.TRANSIENT_LOCAL)
-        assert (each_step.history, each_step.depth) == (QosHistory.KEEP_LAST, 1)
+        assert (each_step.history, each_step.depth) == (QosHistory.KEEP_LAST, STEP_DEPTH)
         assert each_step.reliability == QosReliability.RELIABLE
         for step, (connection, time, data) in enumerate(reader.messages([by_name["/contact_constraints"]])):
             message = reader.deserialize(data, connection.msgtype)

@@ -18,18 +18,17 @@ import pytest
 import yaml
 import zstandard
 from stages.mcap_bytes import CHANNEL, CHUNK, MESSAGE, SCHEMA, chunk, record, text
-from worlds.recorded_pane import changed_bag, record_pane, write_bag
+from stages.typed_command import run
+from worlds.recorded_pane import changed_bag, record_pane
 
 from fracture_collision.bag import mcap_file
 from fracture_collision.bag.exchanges import read_runs
 from fracture_collision.bag.mcap_file import MAGIC, BagError, McapFile
 from fracture_collision.bag.metadata import KEY, LARGEST
 from fracture_collision.bag.reader import mcap_files, missing_words, recorded_settings
-from fracture_collision.plain_yaml import load_yaml
 from fracture_collision.replay import settings_of
 
 FILE = "pane_0.mcap"
-MERGED = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}]}}\n" for i in range(1, 60))
 
 
 @pytest.fixture(scope="module")
@@ -180,14 +179,9 @@ def test_metadata_of_wrong_types_or_with_foreign_paths_is_rejected(name: str, ba
     [
         (b"a: [", "not YAML"),
         (b"\xff\xfe\x00", "not text"),
-        (b"[" * 50_000, "nested too deeply"),
         (b"!!python/object/apply:os.system ['touch /tmp/harm']", "not YAML"),
-        (b"date: 2001-99-99", "not YAML"),
-        (b"a: !!bool x", "'x' is not of the type !!bool, line 1"),
         (b"a: !!int ''", "'' is not of the type !!int, line 1"),
         (b"a: !!timestamp x", "'x' is not of the type !!timestamp, line 1"),
-        (b"a: 0x" + b"f" * 10_000, "Exceeds the limit"),
-        (MERGED.encode(), "aliases written out"),
         (b"[" + b"1," * 400_000 + b"]", "more than 100000 parts"),
         (b"a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]", "not the metadata"),
         (b" " * (LARGEST + 1), "more than"),
@@ -195,16 +189,10 @@ def test_metadata_of_wrong_types_or_with_foreign_paths_is_rejected(name: str, ba
 )  # fmt: skip
 @pytest.mark.timeout(20)
 def test_yaml_is_parsed_as_data_only(bag: Path, content: bytes, words: str) -> None:
+    """By the parser of scene files, whose other faults are in world/test_bad_input_files.py."""
     (bag / "metadata.yaml").write_bytes(content)
     with pytest.raises(BagError, match=words):
         mcap_files(bag)
-
-
-def test_a_number_in_base_60_is_a_text() -> None:
-    """PyYAML's conversion takes time quadratic in the length, and Python cannot print the result."""
-    digits = ":".join(["59"] * 300_000)
-    assert load_yaml(f"a: {digits}") == {"a": digits}
-    assert load_yaml("[1:30, 1:30.5, 10, 0x1f, 1.5e+3]") == ["1:30", "1:30.5", 10, 31, 1500.0]
 
 
 def test_definitions_of_a_file_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,14 +265,7 @@ def test_commands_reject_damaged_files_without_a_traceback(words: list[str], tmp
         folder = tmp_path / name.replace(" ", "_")
         folder.mkdir()
         (folder / "lie_0.mcap").write_bytes(LIES[name][0])
-        command = [sys.executable, "-m", "fracture_collision.cli", *words, folder]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+        done = run(*words, folder, timeout=60.0)
         assert "Traceback" not in done.stderr
         if words == ["replay"] or name == "noise":
             assert done.returncode == 2 and "Error:" in done.stderr
-
-
-def test_a_bag_without_states_is_rejected(whole: Path, tmp_path: Path) -> None:
-    empty = write_bag(tmp_path / "empty", [])
-    with pytest.raises(BagError, match="holds no fracture_collision/msg/FragmentStates"):
-        read_runs(empty)

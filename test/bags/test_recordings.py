@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,9 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.conversion import header_of, heading
 
 
-def test_nodes_of_a_namespace_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stage = StageWithClients(tmp_path / "stage")
+def test_nodes_of_a_namespace_are_recorded(
+    stage: StageWithClients, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(stage.domain_id))
     recordings = Recordings(tmp_path / "play", "/cell")
     try:
@@ -32,7 +32,6 @@ def test_nodes_of_a_namespace_are_recorded(tmp_path: Path, monkeypatch: pytest.M
         assert recordings.end() is None
     finally:
         recordings.end()
-        stage.close()
 
 
 def test_a_new_recording_does_not_reuse_the_name_of_an_earlier_log(tmp_path: Path) -> None:
@@ -50,10 +49,9 @@ def test_a_recording_without_a_folder_is_reported(tmp_path: Path) -> None:
 class Lonely:
     """A recorder, and in place of simulator and service a client."""
 
-    def __init__(self, folder: Path) -> None:
-        self._stage = StageWithClients(folder)
-        self.ears = self._stage.client()
-        self.recorder = self._stage.start("recorder_node", folder=str(folder / "bag"), progress=True)
+    def __init__(self, stage: StageWithClients, folder: Path) -> None:
+        self.ears = stage.client()
+        self.recorder = stage.start("recorder_node", folder=str(folder / "bag"), progress=True)
         self._time = 0.0
 
     def subscribers(self, topic: qos.Topic) -> int:
@@ -79,15 +77,10 @@ class Lonely:
         self.answers.publish(qos.CONTACT_CONSTRAINTS.message_class(header=header_of(heading(self._time + ahead))))
         await_that(lambda: f'"contact_constraints": {count},' in self.recorder.log_text(), "an answer on record")
 
-    def close(self) -> None:
-        self._stage.close()
-
 
 @pytest.fixture
-def lonely(tmp_path: Path) -> Iterator[Lonely]:
-    lonely = Lonely(tmp_path)
-    yield lonely
-    lonely.close()
+def lonely(stage: StageWithClients, tmp_path: Path) -> Lonely:
+    return Lonely(stage, tmp_path)
 
 
 def test_states_are_recorded_once_answers_can_arrive(lonely: Lonely) -> None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from stages import typed_command
+from stages.typed_command import begun
 from worlds.recorded_pane import CLASSES, STEPS, changed_bag, record_pane, write_bag
 
 from fracture_collision.bag.exchanges import deserialize_record, serialize_record
@@ -23,12 +23,8 @@ from fracture_collision.world import Settings
 CONTACTS = "/contact_constraints"
 
 
-def command(*words: str | Path) -> list[str]:
-    return [sys.executable, "-m", "fracture_collision.cli", *map(str, words)]
-
-
-def run(*words: str | Path, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(command(*words), capture_output=True, text=True, timeout=timeout)
+def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    done = typed_command.run(*words)
     assert "Traceback" not in done.stderr + done.stdout
     return done
 
@@ -36,14 +32,6 @@ def run(*words: str | Path, timeout: float = 120.0) -> subprocess.CompletedProce
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_pane(tmp_path_factory.mktemp("recorded") / "pane", Settings(contacts_per_pair=6))
-
-
-def test_help_has_descriptions_and_examples() -> None:
-    said = run("replay", "--help").stdout
-    for words in ("--ros", "--backwards", "--rate 0.5", "--steps 160:200", "Exit status: 0", "byte for byte"):
-        assert words in said
-    assert "killed" in run("mend", "--help").stdout and "Examples" in run("record", "--help").stdout
-    assert all(name in run("--help").stdout for name in ("replay", "mend", "record", "digest"))
 
 
 def test_a_bag_is_replayed_with_its_settings(bag: Path) -> None:
@@ -136,25 +124,11 @@ def test_invalid_options_are_rejected(bag: Path, words: tuple[str, ...], said: s
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_replay_reports_the_steps_done(bag: Path, tmp_path: Path, order: signal.Signals) -> None:
-    said = tmp_path / "said.txt"
-    with said.open("w") as stream:
-        process = subprocess.Popen(
-            command("replay", bag, "--rate", "1e-6"),  # one step in forty minutes
-            stdout=stream, stderr=stream, start_new_session=True,
-            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # otherwise the bar is drawn on terminals only
-        )  # fmt: skip
-        try:
-            deadline = time.monotonic() + 120.0
-            while "1/30" not in said.read_text():
-                assert process.poll() is None and time.monotonic() < deadline
-                time.sleep(0.05)
-            os.kill(process.pid, order)
-            assert process.wait(30.0) == 130
-        finally:
-            process.kill()
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", said.read_text())
+    with begun(tmp_path, "replay", bag, "--rate", "1e-6") as process:  # one step in forty minutes
+        process.until(lambda: "1/30" in process.text)
+        process.stop(order)
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", process.text)
     assert "stopped after 1 of 30 steps" in text and "all 1 answers equal the recorded ones" in text
-    assert "Traceback" not in text
 
 
 def test_a_recorded_bag_is_mended(tmp_path: Path) -> None:

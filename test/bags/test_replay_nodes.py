@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import shutil
 import signal
-import subprocess
-import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +17,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
-from stages.ros_client import ServiceClient
+from stages.ros_stage import StageWithClients
+from stages.typed_command import begun, run
 from test_replay import CONTACTS, EVENTS, STATES
 from worlds.recorded_pane import STEPS, record_pane, replayed
 from worlds.scene_of_length import scene_of_length
@@ -39,7 +38,7 @@ from fracture_collision.records import FractureEvent
 from fracture_collision.replay import Order, Replay, settings_of
 from fracture_collision.ros.nodes import repeated_request
 from fracture_collision.ros.nodes.service_settings import ServiceSettings
-from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.processes.node_process import free_domain_id
 from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.runs.replay_run import OverDds
 from fracture_collision.ros.runs.scene_recording import TOPICS, record_scene
@@ -74,29 +73,24 @@ def test_a_replay_over_dds_gives_the_answers_of_one_in_process(tmp_path: Path) -
 class Recording:
     """Service, simulator and recorder as processes."""
 
-    def __init__(self, folder: Path, scene: str | Path, service: dict[str, object]) -> None:
-        domain_id = free_domain_id()
-        self.bag = folder / "bag"
-        self.service = NodeProcess("collision_node", service, domain_id, folder / "service.log")
-        self.recorder = NodeProcess("recorder_node", {"folder": str(self.bag)}, domain_id, folder / "recorder.log")
-        self.simulator = NodeProcess(
-            "simulator_node", {"scene": str(scene), "wait_for_subscribers": 2}, domain_id, folder / "simulator.log"
-        )
+    def __init__(self, stage: StageWithClients, bag: Path, scene: str | Path, service: dict[str, object]) -> None:
+        self.bag = bag
+        self.service = stage.start("collision_node", **service)
+        self.recorder = stage.start("recorder_node", folder=str(bag))
+        self.simulator = stage.start("simulator_node", scene=str(scene), wait_for_subscribers=2)
 
     def stop(self) -> list[int]:
         return [process.stop() for process in (self.simulator, self.recorder, self.service)]
 
 
-def test_nodes_record_the_same_as_the_library(tmp_path: Path) -> None:
+def test_nodes_record_the_same_as_the_library(stage: StageWithClients, tmp_path: Path) -> None:
     """Bodies, events, states and contacts byte for byte, but for run ids, and the settings given to the service."""
     settings = Settings(contacts_per_pair=6, penetration_tolerance=0.003, threads=1, lookahead=0.0025)
     given = {"contacts_per_pair": 6, "penetration_tolerance": 0.003, "threads": 1, "lookahead": 0.0025}
-    recording = Recording(tmp_path, "pane", given)
-    try:
-        assert recording.simulator.wait(PATIENCE) == 0
-        await_(lambda: recorded_settings(recording.bag) is not None, "the settings")
-    finally:
-        assert recording.stop()[1:] == [0, 0]
+    recording = Recording(stage, tmp_path / "bag", "pane", given)
+    assert recording.simulator.wait(PATIENCE) == 0
+    await_(lambda: recorded_settings(recording.bag) is not None, "the settings")
+    assert recording.stop()[1:] == [0, 0]
     assert missing_words(recording.bag) == []
     library = tmp_path / "library"
     for _ in record_scene(load_scene("pane"), settings, None, library):
@@ -113,17 +107,15 @@ def test_nodes_record_the_same_as_the_library(tmp_path: Path) -> None:
     assert replayed(read_runs(recording.bag), **found._asdict()).exact
 
 
-def test_a_killed_recorder_leaves_a_readable_bag(tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_a_readable_bag(stage: StageWithClients, tmp_path: Path) -> None:
     long_scene = scene_of_length("pane", 600.0, tmp_path)
-    recording = Recording(tmp_path, long_scene, {"threads": 1})
+    recording = Recording(stage, tmp_path / "bag", long_scene, {"threads": 1})
     file = recording.bag / "bag_0.mcap"
-    try:
-        await_(lambda: (recording.bag / "metadata.yaml").is_file(), "metadata from the start")
-        await_(lambda: message_counts(recording.bag).get(CONTACTS, 0) > 30, "some of the run on disk")
-        recording.recorder.send_signal(signal.SIGKILL)
-        assert recording.recorder.wait(10.0) == -signal.SIGKILL
-    finally:
-        recording.stop()
+    await_(lambda: (recording.bag / "metadata.yaml").is_file(), "metadata from the start")
+    await_(lambda: message_counts(recording.bag).get(CONTACTS, 0) > 30, "some of the run on disk")
+    recording.recorder.send_signal(signal.SIGKILL)
+    assert recording.recorder.wait(10.0) == -signal.SIGKILL
+    recording.stop()
 
     bag = recording.bag
     told = " ".join(missing_words(bag))
@@ -138,82 +130,74 @@ def test_a_killed_recorder_leaves_a_readable_bag(tmp_path: Path) -> None:
     steps = replayed(read_runs(bag), Order(end=60), **settings._asdict())
     assert steps.exact and steps.steps > 30
 
-    command = [sys.executable, "-m", "fracture_collision.cli"]
-    words = [*command, "replay", bag, "--steps", "0:20"]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE)
+    done = run("replay", bag, "--steps", "0:20")
     assert done.returncode == 0 and "note:" in done.stdout and "is truncated" in done.stdout
-    done = subprocess.run([*command, "digest", bag], capture_output=True, text=True, timeout=PATIENCE)
+    done = run("digest", bag)
     assert done.returncode == 0 and "is truncated" in done.stderr and CONTACTS in done.stdout
 
-    # Truncated in the middle of a record as well, as after a power failure.
-    half = tmp_path / "half"
-    shutil.copytree(bag, half)
-    data = file.read_bytes()
-    (half / file.name).write_bytes(data[: len(data) - 1000])
-    assert "bytes cannot be read" in " ".join(missing_words(half))
-    assert replayed(read_runs(half), Order(end=20), **settings._asdict()).exact
+    before = list(read_messages(bag))
+    mended = mend_bag(bag)
+    assert mended.damaged == [] and mended.messages == len(before) and mended.lost_bytes == 0
+    assert missing_words(bag) == [] and list(read_messages(bag)) == before
+    with AnyReader([bag]) as reader:
+        assert reader.message_count == len(before)
+        assert [(c.topic, t, bytes(d)) for c, t, d in reader.messages()] == [tuple(m) for m in before]
+        by_name = {connection.topic: connection for connection in reader.connections}
+        (latched,) = by_name["/bodies"].ext.offered_qos_profiles
+        assert latched.durability == QosDurability.TRANSIENT_LOCAL
+        assert by_name[CONTACTS].digest.startswith("RIHS01_")
+    assert settings_of(bag, {"threads": 1}).words == []
+    assert sorted(path.name for path in bag.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
 
-    for damaged in (bag, half):
-        before = list(read_messages(damaged))
-        mended = mend_bag(damaged)
-        assert mended.damaged == [] and mended.messages == len(before)
-        assert (mended.lost_bytes > 0) == (damaged is half)
-        assert missing_words(damaged) == [] and list(read_messages(damaged)) == before
-        with AnyReader([damaged]) as reader:
-            assert reader.message_count == len(before)
-            assert [(c.topic, t, bytes(d)) for c, t, d in reader.messages()] == [tuple(m) for m in before]
-            by_name = {connection.topic: connection for connection in reader.connections}
-            (latched,) = by_name["/bodies"].ext.offered_qos_profiles
-            assert latched.durability == QosDurability.TRANSIENT_LOCAL
-            assert by_name[CONTACTS].digest.startswith("RIHS01_")
-        assert settings_of(damaged, {"threads": 1}).words == []
-        assert sorted(path.name for path in damaged.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+
+class Asking:
+    """A node whose parameters may change, a recorder that asks it for its settings, and what it was told."""
+
+    def __init__(self, **service: bool) -> None:
+        self._context = own_context(free_domain_id())
+        named = {"context": self._context, "namespace": "/arm"}
+        self.service = rclpy.create_node("service", **named, **service)
+        self._recorder = rclpy.create_node("recorder", **named)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self.told: list[dict[str, object]] = []
+        self._asked = ServiceSettings(self._recorder, "contact_constraints", self.told.append)
+        for node in (self.service, self._recorder):
+            self._executor.add_node(node)
+        self._asked.look()  # no service yet
+
+    def announce(self) -> None:
+        """The service publishes contacts from now on."""
+        topic = qos.CONTACT_CONSTRAINTS
+        self.service.create_publisher(topic.message_class, topic.name, topic.qos)
+
+    def spin_until(self, count: int) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while len(self.told) < count and time.monotonic() < deadline:
+            self._asked.look()
+            self._executor.spin_once(timeout_sec=0.05)
+        assert len(self.told) == count
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        for node in (self.service, self._recorder):
+            node.destroy_node()
+        self._context.try_shutdown()
 
 
 def test_settings_are_requested_and_requested_again_when_they_change() -> None:
-    """From a node whose parameters may change."""
-    context = own_context(free_domain_id())
-    service, recorder = (rclpy.create_node(name, context=context, namespace="/arm") for name in ("service", "recorder"))
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(service)
-    executor.add_node(recorder)
-    told: list[dict[str, object]] = []
-    asked = ServiceSettings(recorder, "contact_constraints", told.append)
-
-    def spin_until(count: int) -> None:
-        deadline = time.monotonic() + PATIENCE
-        while len(told) < count and time.monotonic() < deadline:
-            asked.look()
-            executor.spin_once(timeout_sec=0.05)
-        assert len(told) == count
-
-    try:
-        asked.look()  # no service yet
+    with closing(Asking()) as asking:
         for name, value in values_of(Settings()).items():
-            service.declare_parameter(name, value)
-        topic = qos.CONTACT_CONSTRAINTS
-        service.create_publisher(topic.message_class, topic.name, topic.qos)
-        spin_until(1)
-        assert told == [values_of(Settings())]
-        service.set_parameters([Parameter("contacts_per_pair", value=5)])
-        spin_until(2)
-        assert told[1] == values_of(Settings(contacts_per_pair=5))
-    finally:
-        executor.shutdown()
-        for node in (service, recorder):
-            node.destroy_node()
-        context.try_shutdown()
+            asking.service.declare_parameter(name, value)
+        asking.announce()
+        asking.spin_until(1)
+        assert asking.told == [values_of(Settings())]
+        asking.service.set_parameters([Parameter("contacts_per_pair", value=5)])
+        asking.spin_until(2)
+        assert asking.told[1] == values_of(Settings(contacts_per_pair=5))
 
 
 def test_settings_are_requested_again_if_the_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(repeated_request, "ASK_AGAIN", 0.2)
-    context = own_context(free_domain_id())
-    service = rclpy.create_node("service", context=context, start_parameter_services=False)
-    recorder = rclpy.create_node("recorder", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(service)
-    executor.add_node(recorder)
-    told: list[dict[str, object]] = []
     lost: list[GetParameters.Response] = []
 
     def answer(request: GetParameters.Request, response: GetParameters.Response) -> GetParameters.Response:
@@ -227,41 +211,27 @@ def test_settings_are_requested_again_if_the_answer_is_lost(monkeypatch: pytest.
         else:
             send(response, header)
 
-    asked = ServiceSettings(recorder, "contact_constraints", told.append)
-    try:
-        parameters = service.create_service(GetParameters, "service/get_parameters", answer)
+    with closing(Asking(start_parameter_services=False)) as asking:
+        parameters = asking.service.create_service(GetParameters, "service/get_parameters", answer)
         send = parameters.send_response
         parameters.send_response = lose_two
-        topic = qos.CONTACT_CONSTRAINTS
-        service.create_publisher(topic.message_class, topic.name, topic.qos)
-        deadline = time.monotonic() + PATIENCE
-        while not told and time.monotonic() < deadline:
-            asked.look()
-            executor.spin_once(timeout_sec=0.05)
-        assert told == [values_of(Settings())] and len(lost) == 2
-    finally:
-        executor.shutdown()
-        for node in (service, recorder):
-            node.destroy_node()
-        context.try_shutdown()
+        asking.announce()
+        asking.spin_until(1)
+        assert asking.told == [values_of(Settings())] and len(lost) == 2
 
 
-def test_a_recorder_survives_undecodable_messages(tmp_path: Path) -> None:
-    domain_id = free_domain_id()
-    recorder = NodeProcess("recorder_node", {"folder": str(tmp_path / "bag")}, domain_id, tmp_path / "recorder.log")
-    client = ServiceClient(domain_id)
-    try:
-        client.spin_until(lambda: client.node.count_subscribers("fracture_events") == 1, "the recorder")
-        good = [serialize_record(example_event(i), Heading(i - 1, 0, "world"), 7) for i in range(3)]
-        for data in (b"\x00\x01\x00\x00", b"\x07\x07" + good[0][2:], good[0][:-5], *good):
-            client.publish_bytes("fracture_events", data)
-        await_(lambda: message_counts(tmp_path / "bag").get(EVENTS, 0) == 3, "the good ones, on disk")
-    finally:
-        client.close()
-        assert recorder.stop() == 0
+def test_a_recorder_survives_undecodable_messages(stage: StageWithClients, tmp_path: Path) -> None:
+    recorder = stage.start("recorder_node", folder=str(tmp_path / "bag"))
+    client = stage.client()
+    client.spin_until(lambda: client.node.count_subscribers("fracture_events") == 1, "the recorder")
+    good = [serialize_record(example_event(i), Heading(i - 1, 0, "world"), 7) for i in range(3)]
+    for data in (b"\x00\x01\x00\x00", b"\x07\x07" + good[0][2:], good[0][:-5], *good):
+        client.publish_bytes("fracture_events", data)
+    await_(lambda: message_counts(tmp_path / "bag").get(EVENTS, 0) == 3, "the good ones, on disk")
+    assert recorder.stop() == 0
     found = [(message.nanoseconds, message.data) for message in read_messages(tmp_path / "bag", [EVENTS])]
     assert found == [(0, good[0]), (0, good[1]), (10**9, good[2])]
-    assert "not recorded: no serialized FractureEvent" in (tmp_path / "recorder.log").read_text()
+    assert "not recorded: no serialized FractureEvent" in recorder.log_text()
 
 
 def example_event(sequence: int) -> FractureEvent:
@@ -272,23 +242,12 @@ def example_event(sequence: int) -> FractureEvent:
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_replay_over_dds_reports_and_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
     bag = record_pane(tmp_path / "pane")
-    with (tmp_path / "said.txt").open("w") as said:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "fracture_collision.cli", "replay", bag, "--ros", "--loop", "100000"],
-            stdout=said, stderr=said, start_new_session=True,
-        )  # fmt: skip
-        try:
-            await_(lambda: children(process.pid), "a service")
-            (service,) = children(process.pid)
-            time_left = time.monotonic() + PATIENCE
-            while not busy(service) and time.monotonic() < time_left:
-                time.sleep(0.1)
-            process.send_signal(order)
-            assert process.wait(60.0) == 130
-        finally:
-            process.kill()
-    text = (tmp_path / "said.txt").read_text()
-    assert "stopped" in text and "Traceback" not in text
+    with begun(tmp_path, "replay", bag, "--ros", "--loop", "100000") as process:
+        process.until(lambda: bool(children(process.pid)))
+        (service,) = children(process.pid)
+        process.until(lambda: busy(service))
+        process.stop(order)
+    assert "stopped" in process.text
     assert not Path(f"/proc/{service}").exists()
 
 

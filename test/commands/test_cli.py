@@ -6,10 +6,7 @@ With `smash --mesh` the scene is made from the user's mesh.
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -20,6 +17,7 @@ import yaml
 from click.testing import CliRunner
 from matplotlib.image import imread
 from rosbags.highlevel import AnyReader
+from stages.typed_command import begun, run
 from worlds.scene_of_length import scene_of_length
 
 from fracture_collision.bag.reader import read_messages, topic_digest
@@ -32,14 +30,6 @@ from fracture_collision.world import Settings
 
 SCENE = "pane"
 STEPS = 60
-
-
-def command(*words: str | Path) -> list[str]:
-    return [sys.executable, "-m", "fracture_collision.cli", *map(str, words)]
-
-
-def run(*words: str | Path, timeout: float = 240.0) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(*words), capture_output=True, text=True, timeout=timeout)
 
 
 def nodes_of(out: Path) -> list[str]:
@@ -78,18 +68,6 @@ def smashed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     done = run("smash", "--scene", SCENE, "--out", out)
     assert done.returncode == 0, done.stdout + done.stderr
     return out, done.stdout
-
-
-def test_help_has_descriptions_and_examples() -> None:
-    text = run("--help").stdout
-    assert all(word in text for word in ("smash", "scenes", "digest", "Examples", "collision_node"))
-    text = run("smash", "--help").stdout
-    assert all(word in text for word in ("film_strip.png", "times.png", "report.json", "bag/", "--seed"))
-
-
-def test_scenes_are_listed() -> None:
-    names = [line.split()[0] for line in run("scenes").stdout.splitlines()]
-    assert {"pane", "plates"} <= set(names)
 
 
 def test_every_step_is_answered_and_reported(smashed: tuple[Path, str]) -> None:
@@ -156,24 +134,14 @@ def test_two_runs_are_the_same_byte_for_byte_but_for_their_ids(smashed: tuple[Pa
 def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
     long_scene = scene_of_length(SCENE, 600.0, tmp_path)
     out = tmp_path / "out"
-    with (tmp_path / "said.txt").open("w") as said:
-        process = subprocess.Popen(
-            command("smash", "--scene", long_scene, "--out", out), stdout=said, stderr=said, start_new_session=True
-        )
-        try:
-            deadline = time.monotonic() + 120.0
-            while not any("begins" in log.read_text() for log in out.glob(".new-*/logs/collision_node.log")):
-                assert process.poll() is None and time.monotonic() < deadline
-                time.sleep(0.05)
-            assert len(nodes_of(out)) == 3
-            await_a_step(out)
-            os.kill(process.pid, order)
-            assert process.wait(60.0) == 130
-        finally:
-            process.kill()
+    with begun(tmp_path, "smash", "--scene", long_scene, "--out", out) as process:
+        logs = ".new-*/logs/collision_node.log"
+        process.until(lambda: any("begins" in log.read_text() for log in out.glob(logs)))
+        assert len(nodes_of(out)) == 3
+        await_a_step(out)
+        process.stop(order)
     assert nodes_of(out) == []
-    text = (tmp_path / "said.txt").read_text()
-    assert "all nodes have ended" in text and "Traceback" not in text
+    assert "all nodes have ended" in process.text
     assert {each.name for each in out.iterdir()} == {"bag", "logs"}
     assert next(read_messages(out / "bag", ["/fragment_states"])) is not None
 
@@ -208,12 +176,6 @@ def test_a_run_that_cannot_start_changes_nothing(
     assert said in " ".join(done.stderr.split()) and "Traceback" not in done.stderr
     assert nodes_of(out) == [] and out.exists() == there
     assert sorted((str(file), file.read_text()) for file in out.rglob("*") if file.is_file()) == before
-
-
-def test_a_folder_without_a_bag_is_rejected_with_an_explanation(tmp_path: Path) -> None:
-    done = run("digest", tmp_path)
-    assert done.returncode == 2
-    assert "metadata.yaml" in done.stderr and "Traceback" not in done.stderr
 
 
 def scene_of(mesh: TetGeometry, folder: Path) -> Path:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from stages.typed_command import begun
 
 pytest.importorskip("distributed")
 
@@ -19,13 +19,6 @@ from fracture_collision.cli.commands import main  # noqa: E402
 
 def call(*words: str | Path) -> Result:
     return CliRunner().invoke(main, ["bench", *map(str, words)])
-
-
-def test_help_has_descriptions_and_examples() -> None:
-    text = " ".join(call("--help").output.split())
-    words = ("tables, fig5, fig12, resolution", "fig17", "benchmarks.md", "--scheduler", "dask worker", "Examples")
-    assert all(word in text for word in words)
-    assert "bench" in CliRunner().invoke(main, ["--help"]).output
 
 
 @pytest.mark.parametrize(
@@ -54,12 +47,6 @@ def test_bench_reports_that_its_sources_are_not_installed(tmp_path: Path, monkey
     assert done.exit_code == 1 and "it is not installed" in " ".join(done.output.split())
 
 
-def test_an_out_that_is_a_file_is_rejected(tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("")
-    done = call("fig5", "--out", tmp_path / "out")
-    assert done.exit_code == 2 and "is a file" in " ".join(done.output.split())
-
-
 def processes_of(session: int) -> list[str]:
     found = []
     for process in Path("/proc").glob("[0-9]*"):
@@ -75,31 +62,17 @@ def processes_of(session: int) -> list[str]:
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
-    said = tmp_path / "said.txt"
-    with said.open("w") as stream:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "fracture_collision.cli", "bench", "fig16", "--full", "--workers", "2",
-             "--out", str(tmp_path / "out")],
-            stdout=stream, stderr=stream, start_new_session=True,
-            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # otherwise the bar is drawn on terminals only
-        )  # fmt: skip
-        try:
-            deadline = time.monotonic() + 240.0
-            while "contacts, " not in said.read_text():  # until the first trial is done
-                assert process.poll() is None and time.monotonic() < deadline, said.read_text()
-                time.sleep(0.05)
-            assert len(processes_of(process.pid)) >= 3
-            if order == signal.SIGINT:
-                os.killpg(process.pid, order)  # to the whole group, as a terminal does
-            else:
-                os.kill(process.pid, order)
-            assert process.wait(60.0) == 130
-            while left := processes_of(process.pid):
-                assert time.monotonic() < deadline, left
-                time.sleep(0.05)
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-    text = said.read_text()
-    assert "stopped; finished: none" in text and "Traceback" not in text
+    with begun(tmp_path, "bench", "fig16", "--full", "--workers", "2", "--out", tmp_path / "out") as process:
+        process.until(lambda: "contacts, " in process.text)  # until the first trial is done
+        assert len(processes_of(process.pid)) >= 3
+        if order == signal.SIGINT:
+            os.killpg(process.pid, order)  # to the whole group, as a terminal does
+            process.must_end()
+        else:
+            process.stop(order)
+        deadline = time.monotonic() + 60.0
+        while left := processes_of(process.pid):
+            assert time.monotonic() < deadline, left
+            time.sleep(0.05)
+    assert "stopped; finished: none" in process.text
     assert not list((tmp_path / "out").iterdir())

@@ -7,15 +7,14 @@ import errno
 import json
 import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from matplotlib.image import imread
+from stages.interrupted_loading import run_code
+from stages.typed_command import begun
 from worlds.scene_of_length import scene_of_length
 
 from fracture_collision.cli.commands import main
@@ -23,16 +22,12 @@ from fracture_collision.cli.scene import RESULTS, parse_settings
 from fracture_collision.process.full_disk import REMEDY
 from fracture_collision.run_report import (
     PAPER,
-    last_words,
     statistics_table,
     summaries,
-    summary_of,
     times_table,
-    where_time_goes,
 )
 from fracture_collision.scene_run import SceneRun, StepFigures
 from fracture_collision.simulation.scene.scene import load_scene
-from fracture_collision.world import Settings
 
 
 def call(*words: str | Path) -> Result:
@@ -100,17 +95,6 @@ def test_times_add_up_and_figures_of_a_run_are_consistent(pane: tuple[Path, str]
     assert report["summary"]["contacts"]["worst"] == columns["contacts"].max()
 
 
-def test_digests_depend_on_the_seed_only(pane: tuple[Path, str]) -> None:
-    digests = []
-    for seed in (None, 5):
-        with SceneRun(load_scene("pane"), Settings(threads=2, lookahead=0.0025), seed) as run:
-            for _ in run:
-                pass
-            digests.append(run.report()["digest"])
-    told = json.loads((pane[0] / "report.json").read_text())["digest"]
-    assert digests[0] == told != digests[1]
-
-
 def test_options_are_obeyed_and_results_of_an_earlier_run_removed(tmp_path: Path) -> None:
     for file in RESULTS:
         (tmp_path / file).write_text("of the run before")
@@ -170,61 +154,22 @@ def test_settings_are_separated_by_commas_or_repeated() -> None:
     assert given == {"threads": 3, "method": "glondu2014", "max_work": 9}
 
 
-def test_help_has_descriptions_and_examples() -> None:
-    text = call("--help").output
-    assert all(word in text for word in ("report.json", "steps.csv", "--count-colliding", "Examples", "drop_bunnies"))
-    listed = CliRunner().invoke(main, ["scenes"]).output
-    assert all(word in listed for word in ("piggy_bank", "bricks", "reference_sphere:coarse_inside"))
-
-
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_scene_reports_it_and_keeps_the_steps_done(tmp_path: Path, order: signal.Signals) -> None:
     scene = scene_of_length("pane", 600.0, tmp_path)
-    out, said = tmp_path / "out", tmp_path / "said.txt"
+    out = tmp_path / "out"
     out.mkdir()
     (out / "report.json").write_text("of the run before")
-    with said.open("w") as stream:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "fracture_collision.cli", "scene", str(scene), "--out", str(out)],
-            stdout=stream, stderr=stream, start_new_session=True,
-            env=os.environ | {"COLUMNS": "120", "FORCE_COLOR": "1"},  # otherwise the bar is drawn on terminals only
-        )  # fmt: skip
-        try:
-            deadline = time.monotonic() + 240.0
-            while "simulating" not in said.read_text():
-                assert process.poll() is None and time.monotonic() < deadline
-                time.sleep(0.05)
-            os.kill(process.pid, order)
-            assert process.wait(60.0) == 130
-        finally:
-            process.kill()
-    text = said.read_text()
-    assert "Traceback" not in text and "stopped after" in text
+    with begun(tmp_path, "scene", scene, "--out", out) as process:
+        process.until(lambda: "simulating" in process.text)
+        process.stop(order)
+    text = process.text
+    assert "stopped after" in text
     report = json.loads((out / "report.json").read_text())
     done = len(report["step"])
     assert 0 < done < 240_000 and not report["finished"]
     assert f"stopped after {done} of 240000 steps" in text
     assert len((out / "steps.csv").read_text().splitlines()) == done + 1
-
-
-# SIGINT while numba passes a kernel to LLVM: an exception there is swallowed and the kernel's address is null.
-SIGNAL_WHILE_LOADING = """
-import os, signal, sys
-from numba.core.codegen import CPUCodeLibrary
-hand_over = CPUCodeLibrary._object_getbuffer_hook
-kernels = []
-def interrupted(module):
-    kernels.append(module)
-    if len(kernels) == 3:
-        os.kill(os.getpid(), signal.SIGINT)
-    return hand_over(module)
-CPUCodeLibrary._object_getbuffer_hook = interrupted
-"""
-
-
-def run_code(*lines: str) -> subprocess.CompletedProcess[str]:
-    code = SIGNAL_WHILE_LOADING + "\n".join(lines)
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=280.0)
 
 
 def test_a_signal_while_kernels_load_ends_the_process_at_once(tmp_path: Path) -> None:
@@ -270,11 +215,6 @@ REPORT = {
 }
 
 
-def test_summary_has_median_average_and_worst():
-    assert summary_of([1.0, 2.0, 6.0]) == {"median": 2.0, "average": 3.0, "worst": 6.0}
-    assert summary_of([]) == {}
-
-
 def test_only_steps_with_updates_count_as_updates():
     found = summaries({"update_ms": [0.0, 4.0, 0.0, 2.0], "collision_ms": [0.0, 4.0, 0.0, 2.0]})
     assert (found["update_ms"]["average"], found["collision_ms"]["average"]) == (3.0, 1.5)
@@ -298,21 +238,3 @@ def test_tables_show_figures_of_the_paper_where_it_has_any():
 @pytest.mark.parametrize("name", sorted(PAPER))
 def test_every_scene_with_a_figure_in_the_paper_exists(name):
     assert load_scene(name).name == name
-
-
-def test_no_penetration_is_a_plain_zero():
-    said = last_words({"deepest_gap": [-0.002, 0.0, 0.1], "time": [0.1, 0.2, 0.3], "max_speed": [1.0, 0.5, 0.0]})
-    assert said.startswith("deepest penetration: 0.000 mm at the end; 2.00 mm for a moment, at 0.10 s")
-    assert "moment" not in last_words({"deepest_gap": [0.0, 0.1], "time": [0.1, 0.2], "max_speed": [1.0, 0.0]})
-
-
-def test_the_share_of_ros_and_the_longest_step_are_explained():
-    parts = {"collision_ms": [1.0, 2.0], "update_ms": [0.0, 0.0], "physics_ms": [70.0, 1.0], "fracture_ms": [0.0, 0.0]}
-    report = {"step": [0, 1], "total_ms": [81.0, 5.0], **parts}
-    said = where_time_goes(report)
-    assert said == (
-        "The longest step is number 0, 81.0 ms, of which 70.0 are physics; the next longest takes 5.0 ms."
-    )
-    said = where_time_goes(report | {"ros_ms": [10.0, 2.0]})
-    assert said.startswith("ROS takes 6.0 of the 43.0 ms of an average step; the paper's step has no such part")
-    assert where_time_goes({"step": [4], "total_ms": [2.0], "collision_ms": [2.0]}).endswith("are collision detection.")

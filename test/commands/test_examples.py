@@ -103,10 +103,6 @@ def assert_broken(pairs: dict[tuple[int, int], tuple[int, float, float]]) -> Non
     assert all(abs(gap) < 1e-3 and bound < 1e-3 for _, gap, bound in between.values())
 
 
-def test_it_has_ten_statements_or_so() -> None:
-    assert len(EXAMPLE.read_text().splitlines()) <= 25
-
-
 def test_it_breaks_the_mesh_of_the_package_and_a_file(tmp_path: Path) -> None:
     assert_broken(pairs_of())
     mesh = ball(50.0, 10.0)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
-from fracture_collision.extras import EXTRAS, MissingExtra, missing_of, need
+from fracture_collision.extras import EXTRAS, MissingExtra, need
 
 ROOT = Path(__file__).resolve().parents[2]
 USE = """
@@ -93,12 +93,6 @@ def distributions_of(extra: str) -> set[str]:
         elif words:
             found.add(Requirement(words).name)
     return found
-
-
-def test_all_extras_are_there_in_the_build() -> None:
-    for extra in EXTRAS:
-        assert missing_of(extra) == []
-        need(extra, "a test")
 
 
 def test_the_error_is_that_of_a_missing_module(monkeypatch: pytest.MonkeyPatch) -> None:

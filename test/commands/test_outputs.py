@@ -169,15 +169,3 @@ def test_the_users_own_functions_are_not_reported(reporting: pytest.LogCaptureFi
 
     own(1)
     assert compile_progress._reporters[0]._done == 0 and not lines(reporting)
-
-
-def test_loaded_kernels_are_not_reported(reporting: pytest.LogCaptureFixture) -> None:
-    @numba.njit
-    @of_the_package
-    def once(x):
-        return x
-
-    once(1)
-    before = compile_progress._reporters[0]._done
-    once(2)
-    assert compile_progress._reporters[0]._depth == 0 and compile_progress._reporters[0]._done in (before, 0)

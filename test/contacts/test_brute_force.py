@@ -9,20 +9,11 @@ from oracles.fragmented_body import ALL_KINDS, CRACK
 from truth.contact_truth import COARSE_SHAPES
 from worlds.fractured_worlds import FracturedWorld, fractured_world
 
-from fracture_collision.geometry.tetrahedra import FACE_VERTICES, tetrahedron_volumes
-
 
 @pytest.fixture(scope="module", params=[("torus", False), ("torus", True), ("l_block", True)], ids=str)
 def case(request) -> FracturedWorld:
     shape, curved = request.param
     return fractured_world(COARSE_SHAPES[shape](), seeds=4, generations=2, curved=curved)
-
-
-def test_owners_equal_the_oracles(case: FracturedWorld) -> None:
-    points = np.random.default_rng(1).uniform(-1.05, 1.05, (3000, 3)) * (1.0, 1.0, 0.35)
-    found, certain = owners(partition_of(case.oracle), points)
-    assert certain.all() and len(set(found.tolist())) > 3
-    assert np.array_equal(found, case.oracle.owner(points))
 
 
 def test_owners_equal_the_oracles_close_to_cracks(case: FracturedWorld) -> None:
@@ -42,21 +33,6 @@ def test_owners_equal_the_oracles_close_to_cracks(case: FracturedWorld) -> None:
     assert np.array_equal(found[far], oracle.owner(points[far]))
 
 
-def test_nodes_and_points_of_inner_faces_have_one_owner(case: FracturedWorld) -> None:
-    oracle = case.oracle
-    partition = partition_of(oracle)
-    found, certain = owners(partition, oracle.vertices)
-    assert certain.all() and np.array_equal(found, oracle.labels)
-    cut = oracle.parts.tetrahedra
-    inner = oracle.tetrahedra[cut][:, FACE_VERTICES][oracle.neighbours[cut] >= 0]
-    weights = np.random.default_rng(5).dirichlet(np.ones(3), len(inner))
-    points = np.einsum("nij,ni->nj", oracle.vertices[inner], weights)
-    found, certain = owners(partition, points)
-    cracks = np.concatenate([oracle.surface_triangles(f, (CRACK,)) for f in oracle.fragment_ids])
-    # for points on a crack rounding decides
-    assert distances(points[~certain], cracks).max(initial=0.0) < 1e-9 and (found > 0).all()
-
-
 def test_distances_equal_the_oracles(case: FracturedWorld) -> None:
     points = np.random.default_rng(2).uniform(-1.2, 1.2, (200, 3))
     for fragment in case.oracle.fragment_ids[:3]:
@@ -65,15 +41,3 @@ def test_distances_equal_the_oracles(case: FracturedWorld) -> None:
         assert np.allclose(distances(points, triangles), expected, rtol=0, atol=1e-13)
         assert distances(nearest, triangles).max() <= 1e-13
     assert np.isinf(distances(points[:1], np.zeros((0, 3, 3)))[0])
-
-
-def test_volumes_equal_those_by_counting_points(case: FracturedWorld) -> None:
-    """Shares of random points against the oracle's volumes: an error in the rule would show."""
-    random, oracle = np.random.default_rng(3), case.oracle
-    volumes, count = tetrahedron_volumes(oracle.vertices, oracle.tetrahedra), 200_000
-    chosen = oracle.tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]
-    points = np.einsum("nij,ni->nj", oracle.vertices[chosen], random.dirichlet(np.ones(4), count))
-    found, _ = owners(partition_of(oracle), points)
-    for fragment in oracle.fragment_ids:
-        share = oracle.volume(fragment) / volumes.sum()
-        assert abs(np.mean(found == fragment) - share) <= 5.0 * np.sqrt(share / count)

@@ -16,9 +16,10 @@ from truth.contact_truth import (
     sample_ids,
 )
 from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world, tree_of, with_settings
+from worlds.gate_world import record_bytes
 from worlds.rigid_shapes import noisy_ball
 
-from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, ContactConstraintArray, FragmentStates
+from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld, PaperSettings
 from fracture_collision.world.settings import CHOICES
 
@@ -67,15 +68,12 @@ def test_the_bound_holds_for_any_limit_of_work(case: FracturedWorld) -> None:
     pytest.fail("no limit was small enough to cut a search short")
 
 
-def _bytes(answer: ContactConstraintArray) -> bytes:
-    return b"".join(np.asarray(field).tobytes() for field in answer)
-
-
 def test_answers_are_the_same_bytes_for_any_number_of_threads(case: FracturedWorld) -> None:
     states = case.states(0.05, seed=4)
-    reference = _bytes(case.world.contacts(states))
+    reference = record_bytes(case.world.contacts(states))
     for threads in (2, 3, 8):
-        assert _bytes(with_settings(case, case.world.settings._replace(threads=threads)).contacts(states)) == reference
+        other = with_settings(case, case.world.settings._replace(threads=threads))
+        assert record_bytes(other.contacts(states)) == reference
 
 
 def test_a_full_list_does_not_depend_on_tree_or_traversal() -> None:
@@ -129,13 +127,13 @@ def _children(size: np.ndarray, entry: int) -> list[int]:
 def test_answers_do_not_depend_on_earlier_steps(case: FracturedWorld) -> None:
     """Interleaving other states, and states of earlier registries, changes nothing."""
     states = case.states(0.05, seed=4)
-    reference = _bytes(case.world.contacts(states))
+    reference = record_bytes(case.world.contacts(states))
     digest = case.world.fragments().digest
     whole = FragmentStates(1, 0, np.array([1]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
     case.world.contacts(case.states(0.2, seed=9))
     assert len(case.world.contacts(whole).gaps) == 0
     assert case.world.fragments().fragment_ids.tolist() == [1]
-    assert _bytes(case.world.contacts(states)) == reference
+    assert record_bytes(case.world.contacts(states)) == reference
     assert case.world.fragments().digest == digest
 
 
@@ -145,4 +143,4 @@ def test_order_of_the_named_fragments_does_not_matter(case: FracturedWorld) -> N
         states.step, states.fracture_sequence, states.fragment_ids[::-1],
         states.positions.reshape(-1, 3)[::-1].ravel(), states.orientations.reshape(-1, 4)[::-1].ravel(),
     )  # fmt: skip
-    assert _bytes(case.world.contacts(back)) == _bytes(case.world.contacts(states))
+    assert record_bytes(case.world.contacts(back)) == record_bytes(case.world.contacts(states))

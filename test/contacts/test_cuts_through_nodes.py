@@ -122,16 +122,6 @@ def test_two_diagonal_planes_through_the_nodes_of_a_cube() -> None:
     assert made and deepest_sample(*made) <= DEEP
 
 
-def test_samples_of_cuts_along_the_mesh_are_outside_all_other_fragments() -> None:
-    checked = 0
-    for cut in islice(lattice_cuts(), 0, None, 29):
-        made = world_of(cut)
-        if made is not None:
-            assert deepest_sample(*made) <= DEEP, cut[1:]
-            checked += 1
-    assert checked > 40
-
-
 @pytest.mark.parametrize("kind", [CollisionWorld, SampledWorld])
 def test_fragments_of_cuts_through_nodes_do_not_penetrate_in_place(kind: type[CollisionWorld]) -> None:
     assert check(islice(lattice_cuts(), 0, None, 13), kind) > 100

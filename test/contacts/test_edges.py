@@ -7,17 +7,17 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from test_neighbour_lists import assert_same, random_turns, turned
 from truth.contact_truth import COARSE_SHAPES, Poses, pairs_of, sample_ids, surface_samples
 from truth.surface_campaign import PairDepth, campaign
-from worlds.fractured_worlds import FracturedWorld, fractured_world, with_messages, with_settings
+from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
 from worlds.hard_worlds import tetrahedral_body
 from worlds.rods import EDGE, OVERLAP, answer_of_rods, crossed
-from worlds.sampled_worlds import ForgetfulWorld, SampledWorld
+from worlds.sampled_worlds import SampledWorld
 
 from fracture_collision.core.edges.ridge_contacts import DEEPEST, RIDGES_EACH
 from fracture_collision.core.edges.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
 from fracture_collision.core.edges.ridges import LEAST_LENGTH, LEAST_TURN, LENGTH, OUTWARD, TURN
+from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_RIDGES
 from fracture_collision.core.mesh.surface_triangles import surface_triangles
 from fracture_collision.geometry.generators import brick
@@ -57,8 +57,8 @@ def case(request) -> FracturedWorld:
 
 
 def rows_of(case: FracturedWorld, fragment: int) -> np.ndarray:
-    ridges, row = case.geometry.ridges, case.row(fragment)
-    return ridges.rows[ridges.first[row] : ridges.first[row] + ridges.count[row]]
+    ridges, row = case.geometry.searched.edges, case.row(fragment)
+    return ridges.rows[LEAF * ridges.first[row] : LEAF * ridges.first[row] + ridges.count[row]]
 
 
 def test_ridges_are_the_convex_edges_of_a_surface(case: FracturedWorld) -> None:
@@ -207,38 +207,6 @@ def test_edges_find_most_penetrations_that_samples_miss() -> None:
     assert edges[0] <= sampled[0] and 2 * edges[1] < sampled[1]
 
 
-@pytest.mark.parametrize("lookahead", [0.0, 0.02])
-def test_answers_do_not_depend_on_lists_or_threads(case: FracturedWorld, lookahead: float) -> None:
-    settings = EDGES._replace(lookahead=lookahead)
-    worlds = [
-        with_messages(world, case)
-        for world in (CollisionWorld(settings), CollisionWorld(settings._replace(threads=2)), ForgetfulWorld(settings))
-    ]
-    for world in worlds:
-        world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), 0.25), 2000))
-        world.add_body(CollisionBody(2001, 2001, primitive=SolidPrimitive(BOX, (0.8, 0.8, 0.4))))
-    random = np.random.default_rng(5)
-    ids = np.array([*case.oracle.fragment_ids, 2000, 2001])
-    n, crossings = len(ids), 0
-    positions, quaternions = random.uniform(-0.02, 0.02, (n, 3)), random_turns(random, n, 0.02)
-    positions[-2:] = (0.0, 0.0, 0.62), (0.95, 0.3, 0.3)
-    for step in range(1, 41):
-        size = 0.03 if step % 17 == 0 else 0.0 if step % 5 == 0 else 0.0006
-        move = np.flatnonzero(random.random(n) < (1.0 if step % 3 else 0.4))
-        positions[move] += random.uniform(-size, size, (len(move), 3))
-        if size:
-            quaternions[move] = turned(quaternions[move], random_turns(random, len(move), size))
-        states = FragmentStates(
-            step, case.generations, ids, positions.ravel(), quaternions.ravel(),
-            linear_velocities=random.uniform(-1.0, 1.0, 3 * n), angular_velocities=random.uniform(-1.0, 1.0, 3 * n),
-        )  # fmt: skip
-        first, *others = [world.contacts(states) for world in worlds]
-        for other in others:
-            assert_same(first, other)
-        crossings += len(first.gaps)
-    assert crossings > 1000
-
-
 def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
     world = CollisionWorld(EDGES)
     for body_id, size in ((1, 0.25), (2, 0.5), (3, 0.25)):
@@ -248,8 +216,8 @@ def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
     geometry = world._registry.geometry
 
     def of(row: int) -> np.ndarray:
-        first = geometry.ridges.first[row]
-        return geometry.ridges.rows[first : first + geometry.ridges.count[row]]
+        first = LEAF * geometry.searched.edges.first[row]
+        return geometry.searched.edges.rows[first : first + geometry.searched.edges.count[row]]
 
     before = of(1).copy(), of(2).copy()
     assert len(before[0]) != len(before[1])

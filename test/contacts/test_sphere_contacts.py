@@ -12,9 +12,9 @@ from functools import cache
 import numpy as np
 import pytest
 from oracles.convex_cells import distances_to_triangles
-from scipy.spatial.transform import Rotation
 from truth.contact_truth import sample_ids
 from worlds.fractured_worlds import fractured_world
+from worlds.gate_world import record_bytes, rigid
 from worlds.rigid_shapes import RigidShape, boundary_of, box_of_quads, hollow_box, noisy_ball, torus, true_distance
 
 from fracture_collision.core.search import scratch
@@ -52,10 +52,14 @@ def groove(half: float = 0.6) -> RigidShape:
 
 
 def world_of(shape: RigidShape, radius: float, tetrahedra: np.ndarray | None = None, **settings) -> CollisionWorld:
+    mesh = {} if tetrahedra is None else {"triangles": np.zeros(0, np.uint32), "tetrahedra": tetrahedra.ravel()}
+    return world_with(radius, rigid(1, shape, **mesh), **settings)
+
+
+def world_with(radius: float, *bodies: CollisionBody, **settings) -> CollisionWorld:
     world = CollisionWorld(SETTINGS._replace(**settings))
-    mesh = {"triangles": shape.triangles.ravel()} if tetrahedra is None else {"tetrahedra": tetrahedra.ravel()}
-    world.add_body(CollisionBody(1, 1, vertices=shape.vertices.ravel(), **mesh))
-    world.add_body(CollisionBody(2, BALL, primitive=SolidPrimitive(SPHERE, (radius,))))
+    for body in (*bodies, CollisionBody(2, BALL, primitive=SolidPrimitive(SPHERE, (radius,)))):
+        world.add_body(body)
     return world
 
 
@@ -137,6 +141,22 @@ def test_each_face_has_its_contact(shape: RigidShape, center, gaps) -> None:
     assert_each_depth_is_behind_a_contact(answer, shape, np.array(center), 0.5)
 
 
+def assert_places_are_those_of_brute_force(
+    world: CollisionWorld, shape: RigidShape, radius: float, centers: np.ndarray, least: int
+) -> None:
+    """At the `centers` near the surface; at `least` this many of them have several contacts."""
+    several = 0
+    for center in centers:
+        distance = true_distance(shape, center[None])[0]
+        if not 0.0 < distance < radius:
+            continue
+        found = places_of(answer_at(world, center), center, radius)
+        truth = true_places(shape.corners, lambda x: true_distance(shape, x) < 0.0, center, radius * 1.002)
+        assert_same_places(found, truth)
+        several += len(truth) > 1
+    assert several >= least
+
+
 @pytest.mark.parametrize("as_tetrahedra", [False, True])
 @pytest.mark.parametrize(
     ("body", "concave"),
@@ -147,45 +167,25 @@ def test_each_face_has_its_contact(shape: RigidShape, center, gaps) -> None:
     ids=["l", "bowl", "shell", "ball"],
 )  # fmt: skip
 def test_sphere_contacts_equal_those_of_brute_force(body: TetGeometry, concave: int, as_tetrahedra: bool) -> None:
-    shape, random = boundary_of(body), np.random.default_rng(2)
+    shape = boundary_of(body)
     whole = RigidShape(body.vertices, body.tetrahedra) if as_tetrahedra else shape
-    radius = 0.35
-    world = world_of(whole, radius, body.tetrahedra if as_tetrahedra else None, contacts_per_pair=1000)
-    several = 0
-    for center in random.uniform(-0.9, 0.9, (25, 3)):
-        distance = true_distance(shape, center[None])[0]
-        if not 0.0 < distance < radius:
-            continue
-        found = places_of(answer_at(world, center), center, radius)
-        truth = true_places(shape.corners, lambda x: true_distance(shape, x) < 0.0, center, radius * 1.002)
-        assert_same_places(found, truth)
-        several += len(truth) > 1
-    assert several >= concave
+    world = world_of(whole, 0.35, body.tetrahedra if as_tetrahedra else None, contacts_per_pair=1000)
+    centers = np.random.default_rng(2).uniform(-0.9, 0.9, (25, 3))
+    assert_places_are_those_of_brute_force(world, shape, 0.35, centers, concave)
 
 
 def test_sphere_contacts_on_a_jagged_surface() -> None:
     """Convex and concave edges and corners, many of them within reach at once."""
-    shape, random, several = noisy_ball(), np.random.default_rng(4), 0
-    world = world_of(shape, 0.4, contacts_per_pair=1000)
-    for direction in random.normal(size=(15, 3)):
-        center = 1.25 * direction / np.linalg.norm(direction)
-        distance = true_distance(shape, center[None])[0]
-        if not 0.0 < distance < 0.4:
-            continue
-        found = places_of(answer_at(world, center), center, 0.4)
-        truth = true_places(shape.corners, lambda x: true_distance(shape, x) < 0.0, center, 0.4008)
-        assert_same_places(found, truth)
-        several += len(truth) > 1
-    assert several >= 3
+    shape, directions = noisy_ball(), np.random.default_rng(4).normal(size=(15, 3))
+    centers = 1.25 * directions / np.linalg.norm(directions, axis=1)[:, None]
+    assert_places_are_those_of_brute_force(world_of(shape, 0.4, contacts_per_pair=1000), shape, 0.4, centers, 3)
 
 
 @pytest.mark.parametrize("curved", [False, True])
 def test_sphere_contacts_on_fragments(curved: bool) -> None:
     """In the gap between separated fragments: contacts on both sides, on crack and old surface."""
     case = fractured_world(ball(1.0, 0.4), seeds=4, generations=2, curved=curved)
-    world = CollisionWorld(SETTINGS._replace(contacts_per_pair=1000))
-    for body in (*case.messages[0], CollisionBody(9, BALL, primitive=SolidPrimitive(SPHERE, (0.3,)))):
-        world.add_body(body)
+    world = world_with(0.3, *case.messages[0], contacts_per_pair=1000)
     for event in case.messages[1]:
         world.add_fracture(event)
     ids, touched = case.oracle.fragment_ids, 0
@@ -256,9 +256,7 @@ def test_a_point_of_hundreds_of_triangles_is_one_contact_at_most() -> None:
     i, after = np.arange(count), (np.arange(count) + 1) % count
     sides = np.column_stack((i, after, np.full(count, count)))
     base = np.column_stack((after, i, np.full(count, count + 1)))
-    world = CollisionWorld(SETTINGS)
-    world.add_body(CollisionBody(1, 1, vertices=vertices.ravel(), triangles=np.vstack((sides, base)).ravel()))
-    world.add_body(CollisionBody(2, BALL, primitive=SolidPrimitive(SPHERE, (0.3,))))
+    world = world_of(RigidShape(vertices, np.vstack((sides, base))), 0.3)
     ids = sample_ids(BALL, 1, np.arange(-1, 2 * count))
     at_apex = set()
     for turn in (0.001, 0.7, 1.9, 2.8, 4.1, 5.6):
@@ -288,11 +286,7 @@ def test_contact_ids_do_not_depend_on_other_bodies() -> None:
     shape = boundary_of(ball(1.0, 0.4))
     answers = []
     for others in ((), (torus(), hollow_box())):
-        world = CollisionWorld(SETTINGS)
-        for i, other in enumerate(others, 10):
-            world.add_body(CollisionBody(i, i, vertices=other.vertices.ravel(), triangles=other.triangles.ravel()))
-        world.add_body(CollisionBody(1, 1, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel()))
-        world.add_body(CollisionBody(2, BALL, primitive=SolidPrimitive(SPHERE, (0.5,))))
+        world = world_with(0.5, *(rigid(i, other) for i, other in enumerate(others, 10)), rigid(1, shape))
         answers.append(answer_at(world, (0.3, 0.9, 1.0)))
     assert len(answers[0].gaps) >= 1
     assert answers[0].contact_ids.tolist() == answers[1].contact_ids.tolist()
@@ -308,7 +302,7 @@ def test_contacts_beyond_the_buffer_are_not_written() -> None:
         world = CollisionWorld(Settings(threads=threads, contacts_per_pair=1024))
         world.add_body(CollisionBody(500, 500, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
         for i in range(1, 65):
-            world.add_body(CollisionBody(i, i, vertices=slab.vertices.ravel(), triangles=slab.triangles.ravel()))
+            world.add_body(rigid(i, slab))
         for i in range(65, 75):
             world.add_body(CollisionBody(i, i, primitive=SolidPrimitive(SPHERE, (0.2,))))
         positions = np.array([[3.0 * (i % 8), 3.0 * (i // 8), -0.1] for i in range(74)])
@@ -317,23 +311,5 @@ def test_contacts_beyond_the_buffer_are_not_written() -> None:
             FragmentStates(1, 0, np.arange(1, 75), positions.ravel(), np.tile([0.0, 0.0, 0.0, 1.0], 74))
         )
         assert len(answer.gaps) == 64 * 1024 + 10
-        answers.append(b"".join(np.asarray(field).tobytes() for field in answer))
-    assert len(set(answers)) == 1
-
-
-def test_spheres_are_the_same_bytes_for_any_number_of_threads() -> None:
-    random, answers = np.random.default_rng(3), []
-    count, shape = 60, room()
-    positions = random.uniform(0.1, 1.2, (count, 3))
-    turns = Rotation.random(count, random_state=random).as_quat()
-    for threads in (1, 2, 5):
-        world = CollisionWorld(Settings(threads=threads))
-        world.add_body(
-            CollisionBody(1, 1, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel(), is_static=True)
-        )
-        for i in range(count):
-            world.add_body(CollisionBody(2 + i, 2 + i, primitive=SolidPrimitive(SPHERE, (0.3,))))
-        answer = world.contacts(FragmentStates(1, 0, np.arange(2, 2 + count), positions.ravel(), turns.ravel()))
-        answers.append(b"".join(np.asarray(field).tobytes() for field in answer))
-    assert len(answer.gaps) > 300
+        answers.append(record_bytes(answer))
     assert len(set(answers)) == 1

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from oracles.averaged_field import AveragedField
-from oracles.fracture_patterns import voronoi_event
+from oracles.fracture_patterns import disagreeing_event
 from oracles.fragmented_body import ALL_KINDS, FragmentedBody
 from scipy.interpolate import RegularGridInterpolator
 from truth.contact_truth import Poses, pairs_of, sample_ids, surface_samples
 from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
+from worlds.hard_worlds import anywhere
 
 from fracture_collision.core.field.elementary_queries import INSIDE
 from fracture_collision.core.glondu2014.paper_pools import PaperPools
@@ -17,7 +20,7 @@ from fracture_collision.core.glondu2014.paper_probe import paper_probe
 from fracture_collision.core.memory.pools import OWNER, Pools
 from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.geometry.generators import TetGeometry, ball, bowl, brick, plate, shell
-from fracture_collision.records import BUDGET_EXHAUSTED, CollisionBody, FragmentStates
+from fracture_collision.records import BUDGET_EXHAUSTED, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 AVERAGED = Settings(threads=1, method="glondu2014")
@@ -83,12 +86,6 @@ def case(request) -> FracturedWorld:
     return _case(*request.param)
 
 
-def _points_within(case: FracturedWorld, count: int) -> np.ndarray:
-    random = np.random.default_rng(11)
-    corners = case.oracle.vertices[case.oracle.tetrahedra[random.integers(0, len(case.oracle.tetrahedra), count)]]
-    return np.einsum("nij,ni->nj", corners, random.dirichlet(np.ones(4), count))
-
-
 def test_five_generations_equal_the_slow_twin() -> None:
     """On meshes with enough layers for the fronts to propagate."""
     for body, cracks in ((ball(1.0, 0.25), "flat"), (ball(1.0, 0.25), "curved"), (brick((2.0, 1.4, 1.2), 0.2), "flat")):
@@ -149,7 +146,7 @@ def test_depth_is_eq_1_local_surfaces_and_the_grids_cap(case: FracturedWorld) ->
     interior = case.world._ledger.bodies[1].mesh.paper[0].interior[0]
     axes = [interior.origin[d] + interior.cell * np.arange(interior.dims[d]) for d in range(3)]
     cap = RegularGridInterpolator(axes, interior.depth.reshape(interior.dims))
-    points = _points_within(case, 200)
+    points = anywhere(case, 200, seed=11)
     owners, tets = case.oracle.owner(points), case.oracle.locate(points)
     scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     capped, cut = 0, 0
@@ -183,7 +180,7 @@ def _assert_certain(case: FracturedWorld) -> int:
 
     The true depth is the distance to the nearest point of another owner.
     """
-    points = _points_within(case, 400)
+    points = anywhere(case, 400, seed=11)
     owners = case.oracle.owner(points)
     scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     asked = 0
@@ -205,49 +202,12 @@ def _assert_certain(case: FracturedWorld) -> int:
 
 
 @pytest.mark.parametrize("shape", ["ball", "bowl"])
-def test_certain_points_survive_planes_that_agree_on_nothing(shape: str) -> None:
+@pytest.mark.parametrize("seed", range(3))
+def test_certain_points_survive_planes_that_agree_on_nothing(shape: str, seed: int) -> None:
     """Four generations of cracks in which every edge has its own plane, at a random angle and place."""
+    make = partial(disagreeing_event, tilt=0.5, random=np.random.default_rng(seed))
     body = _irregular(SHAPES[shape]())
-    for seed in range(3):
-        random = np.random.default_rng(seed)
-        oracle = FragmentedBody(body.vertices, body.tetrahedra)
-        events, next_id = [], 2
-        for sequence in range(1, 5):
-            ids, counts = np.unique(oracle.labels, return_counts=True)
-            victim = int(ids[np.argmax(counts)])
-            inside = body.vertices[oracle.labels == victim]
-            seeds = random.uniform(inside.min(axis=0), inside.max(axis=0), (3, 3))
-            event = voronoi_event(oracle, victim, seeds, next_id, sequence)
-            event = event._replace(cut_planes=_any_planes(body, event.cut_edges, random))
-            oracle.apply(event)
-            events.append(event)
-            next_id += len(event.new_fragment_ids)
-        case = _world_of(body, oracle, events)
-        assert _assert_certain(case) == 400
-
-
-def _any_planes(body: TetGeometry, cut_edges: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    ends = body.vertices[np.asarray(cut_edges, dtype=int).reshape(-1, 2)]
-    along = ends[:, 1] - ends[:, 0]
-    along /= np.linalg.norm(along, axis=1)[:, None]
-    normals = along + random.normal(size=along.shape) * 0.5
-    normals *= np.sign((normals * along).sum(axis=1))[:, None]
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    crossing = ends[:, 0] + random.uniform(0.1, 0.9, (len(ends), 1)) * (ends[:, 1] - ends[:, 0])
-    return np.column_stack([normals, (normals * crossing).sum(axis=1)]).ravel()
-
-
-def _world_of(
-    body: TetGeometry, oracle: FragmentedBody, events: list, settings: Settings = AVERAGED
-) -> FracturedWorld:
-    message = CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel())
-    world = CollisionWorld(settings)
-    world.add_body(message)
-    for event in events:
-        world.add_fracture(event)
-    made = FracturedWorld(world, oracle, len(events), True, ([message], events))
-    world.contacts(made.states())
-    return made
+    assert _assert_certain(fractured_world(body, 3, 4, settings=AVERAGED, seed=seed, make=make)) == 400
 
 
 @pytest.mark.parametrize(
@@ -255,11 +215,7 @@ def _world_of(
     [(0.02, 0), (0.15, 100), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.02, 100), (0.15, 0)))],
 )
 def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitter: float, most: int) -> None:
-    world = case.world
-    if most:
-        body = TetGeometry(case.oracle.vertices, case.oracle.tetrahedra)
-        limited = AVERAGED._replace(max_work=most)
-        world = _world_of(body, case.oracle, case.messages[1], limited).world
+    world = with_settings(case, AVERAGED._replace(max_work=most)) if most else case.world
     states = case.states(jitter, seed=1)
     answer, poses = world.contacts(states), Poses(states)
     assert bool(answer.status & BUDGET_EXHAUSTED) <= bool(most)
@@ -280,22 +236,6 @@ def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitte
                 unlisted = points[~np.isin(sample_ids(own, other, numbers), answer.contact_ids[rows])]
                 if len(unlisted):
                     assert case.oracle.depth(other, unlisted, ALL_KINDS)[0].max() <= bound
-
-
-def test_contacts_do_not_depend_on_earlier_steps_or_threads(case: FracturedWorld) -> None:
-    states = case.states(0.05, seed=4)
-    reference = _bytes(case.world.contacts(states))
-    case.world.contacts(FragmentStates(1, 1, np.zeros(0, int), np.zeros(0), np.zeros(0)))
-    assert _bytes(case.world.contacts(states)) == reference
-    many = CollisionWorld(AVERAGED._replace(threads=3))
-    many.add_body(case.messages[0][0])
-    for event in case.messages[1]:
-        many.add_fracture(event)
-    assert _bytes(many.contacts(states)) == reference
-
-
-def _bytes(answer) -> bytes:
-    return b"".join(np.asarray(field).tobytes() for field in answer)
 
 
 def test_fields_that_are_not_used_are_not_stored() -> None:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles.fracture_patterns import voronoi_event
-from oracles.fragmented_body import FragmentedBody
 from truth.certificate_campaign import Part, campaign
 from truth.contact_truth import COARSE_SHAPES, ContactTruth, Poses, check_pair, pairs_of
-from worlds.fractured_worlds import FracturedWorld
+from worlds.hard_worlds import broken_world
 from worlds.sampled_worlds import SampledWorld
 
 from fracture_collision.geometry.generators import brick
-from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.world import Settings
 
 QUICK = {name: COARSE_SHAPES[name] for name in ("torus", "l_block", "shell")}
@@ -39,17 +37,11 @@ def test_the_bound_holds_for_a_hundred_thousand_pairs() -> None:
 
 def test_crack_samples_close_around_an_interior_node_are_not_missed() -> None:
     """A crack 0.0005 R beside a layer of interior nodes: their crack samples lie within epsilon of them."""
-    body = brick((2.0, 2.0, 2.0), 0.5)
-    oracle, world = FragmentedBody(*body), SampledWorld(Settings(threads=1))
-    event = voronoi_event(oracle, 1, np.array([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]]), 2)
-    oracle.apply(event)
-    message = CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel(), density=1.0)
-    world.add_body(message)
-    world.add_fracture(event)
-    shift = np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0])
-    states = FragmentStates(1, 1, np.array([2, 3]), shift, np.tile([0.0, 0.0, 0.0, 1.0], 2))
-    answer = world.contacts(states)
-    truth = ContactTruth(FracturedWorld(world, oracle, 1, False, ([message], [event])))
+    seeds = np.array([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]])
+    makers = [lambda body, first, sequence: voronoi_event(body, 1, seeds, first, sequence)]
+    case = broken_world(brick((2.0, 2.0, 2.0), 0.5), makers, Settings(threads=1), SampledWorld)
+    states = case.states()._replace(positions=np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    answer, truth = case.world.contacts(states), ContactTruth(case)
     check = check_pair(truth, Poses(states), answer, (2, 3), pairs_of(answer), 0.002)
     assert check.contacts > 0
     assert check.deepest_unlisted <= check.bound

@@ -68,16 +68,3 @@ def test_samples_proven_inside_or_beyond_are(shape: str) -> None:
             told += side in (BEYOND, DEEP)
             counts += side == BEYOND, side == DEEP
     assert told > 1000 and counts.min() > 20
-
-
-def test_a_larger_rounding_error_never_gives_a_larger_clearance() -> None:
-    case = fractured_world(SHAPES["ball"][0], 4)
-    pools, f = case.geometry.pools, case.row(case.oracle.fragment_ids[0])
-    scratch = make_scratch(len(pools.mesh.tetrahedra), 1)
-    points = np.random.default_rng(6).normal(size=(200, 3)) * 0.5
-    told = [
-        clearance(pools, f, -1, tuple(p), WITHIN, rounding, scratch)[0] for rounding in (1e-9, 0.05) for p in points
-    ]
-    exact, vague = np.array(told).reshape(2, -1)
-    assert (vague > 0.0).sum() < (exact > 0.0).sum()
-    assert (exact[vague > 0.0] > 0.0).all() and (vague <= exact).all()

@@ -1,4 +1,7 @@
-"""The `exact` field equals brute force to 1e-9 R, at a sample of points, and in the slow campaign at a million."""
+"""The `exact` field equals brute force to 1e-9 R, at a sample of points, and in the slow campaign at a million.
+
+So do masses.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from oracles.brute_force import Partition, distances, owners, partition_of
+from oracles.fragmented_body import uniform_points
 from truth.contact_truth import COARSE_SHAPES, SHAPES
-from worlds.fractured_worlds import FracturedWorld, after_each_fracture, fractured_world
+from worlds.fractured_worlds import DENSITY, FracturedWorld, after_each_fracture, fractured_world
 
 from fracture_collision.core.field.elementary_queries import INSIDE, NEAR, probe
 from fracture_collision.core.search.scratch import make_scratch
@@ -33,7 +37,7 @@ def compare(case: FracturedWorld, count: int, seed: int) -> Compared:
     oracle = case.oracle
     partition = partition_of(oracle)
     near = _near_surfaces(case, partition, count // 2, random)
-    points = np.concatenate((_anywhere(case, count - count // 2, random), near))
+    points = np.concatenate((uniform_points(oracle.vertices, oracle.tetrahedra, count - count // 2, random), near))
     owner, certain = owners(partition, points)
     # on a face whose two tetrahedra give the point different owners, either is right
     points, owner = points[certain], owner[certain]
@@ -61,12 +65,6 @@ def compare(case: FracturedWorld, count: int, seed: int) -> Compared:
     return Compared(inside, outside, wrong, worst)
 
 
-def _anywhere(case: FracturedWorld, count: int, random: np.random.Generator) -> np.ndarray:
-    volumes = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra)
-    tets = case.oracle.tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]
-    return np.einsum("nij,ni->nj", case.oracle.vertices[tets], random.dirichlet(np.ones(4), count))
-
-
 def _near_surfaces(
     case: FracturedWorld, partition: Partition, count: int, random: np.random.Generator
 ) -> np.ndarray:
@@ -89,10 +87,28 @@ def assert_equal(done: Compared) -> None:
     assert done.inside > 0 and done.outside > 0
 
 
-@pytest.mark.parametrize(("shape", "cracks"), [c for c in CASES if c[0] in COARSE_SHAPES])
-def test_the_exact_field_is_exact_at_a_sample_of_points(shape: str, cracks: str) -> None:
-    case = fractured_world(COARSE_SHAPES[shape](), seeds=3, generations=2, curved=cracks == "curved", seed=8)
+@pytest.fixture(scope="module", params=[c for c in CASES if c[0] in COARSE_SHAPES], ids="-".join)
+def case(request) -> FracturedWorld:
+    shape, cracks = request.param
+    return fractured_world(COARSE_SHAPES[shape](), seeds=3, generations=2, curved=cracks == "curved", seed=8)
+
+
+def test_the_exact_field_is_exact_at_a_sample_of_points(case: FracturedWorld) -> None:
     assert_equal(compare(case, 1700, seed=1))
+
+
+def test_masses_equal_the_oracles_and_add_up(case: FracturedWorld) -> None:
+    registry = case.world.fragments()
+    volume = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra).sum()
+    assert registry.masses.sum() == pytest.approx(DENSITY * volume, rel=1e-12)
+    radius = 0.5 * np.ptp(case.oracle.vertices, axis=0).max()
+    for i, fragment in enumerate(registry.fragment_ids.tolist()):
+        mass, center, inertia = case.oracle.mass_properties(fragment, DENSITY)
+        assert registry.masses[i] == pytest.approx(mass, rel=1e-9)
+        assert np.allclose(registry.centers_of_mass[3 * i : 3 * i + 3], center, atol=1e-9 * radius)
+        xx, xy, xz, yy, yz, zz = registry.inertias[6 * i : 6 * i + 6]
+        own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        assert np.allclose(own, inertia, atol=1e-9 * mass * radius**2)
 
 
 @pytest.mark.slow

@@ -43,11 +43,6 @@ def test_sampling_gap_of_a_box_equals_brute_force(edges: tuple[float, float, flo
     assert found <= gap <= 1.03 * found
 
 
-def test_sampling_gap_of_a_beam() -> None:
-    """2 cm x 2 cm x 4 m, 64 pieces along: 1 cm to an edge, half of 6.25 cm along it."""
-    assert published_gap(SolidPrimitive(BOX, (0.02, 0.02, 4.0))) == pytest.approx(np.hypot(0.01, 0.03125), rel=1e-12)
-
-
 def test_sampling_gap_of_a_sphere_is_zero() -> None:
     """A sphere's contacts are found anywhere on its surface: test_sphere_contacts.py compares points all over it."""
     assert published_gap(SolidPrimitive(SPHERE, (0.5,))) == 0.0

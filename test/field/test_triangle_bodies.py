@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles.convex_cells import distances_to_triangles, nearest_on_triangles
 from oracles.fragmented_body import ALL_KINDS
 from scipy.spatial.transform import Rotation
 from truth.contact_truth import sample_ids
 from worlds.fractured_worlds import SETTINGS, fractured_world, samples_of
 from worlds.rigid_shapes import (
     RigidShape,
-    boundary_of,
     cube,
     hollow_box,
     l_block,
@@ -24,16 +22,13 @@ from worlds.sampled_worlds import EVERY, SampledWorld
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.core.bodies.prepared import prepare_surface
 from fracture_collision.core.field.crack_normal import FARTHER
-from fracture_collision.core.field.elementary_queries import INSIDE, NEAR, OUTSIDE, probe, sphere_test
-from fracture_collision.core.mesh.triangle_field import STACK, triangle_distance, triangle_within
-from fracture_collision.core.search.scratch import make_scratch
-from fracture_collision.geometry.generators import ball, bowl, brick, shell
-from fracture_collision.records import SPHERE, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.core.mesh.triangle_field import STACK, triangle_distance
+from fracture_collision.geometry.generators import ball
+from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 SHAPES = {"torus": torus, "l_block": l_block, "cube": cube, "noisy_ball": noisy_ball, "hollow_box": hollow_box}
 STACK_SPACE = np.empty(STACK, np.int32)
-IN_PLACE = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @pytest.fixture(scope="module", params=SHAPES)
@@ -99,80 +94,12 @@ def test_direction_on_edges_and_corners_is_the_pseudonormal() -> None:
         assert np.allclose(rest[:3], expected / np.linalg.norm(expected), atol=1e-12)
 
 
-def test_probe_and_sphere_test_agree_with_the_true_distance(shape: RigidShape, geometry: CollisionGeometry) -> None:
-    points = _points(shape)[::3]
-    expected = true_distance(shape, points)
-    scratch = make_scratch(1, 8)
-    for point, true in zip(points, expected, strict=True):
-        for near in (0.0, 0.05, 0.3):
-            status, d, *_ = probe(geometry.pools, 1, tuple(point), near, np.inf, scratch)
-            if true > 1e-12:
-                assert status == (NEAR if true <= near else OUTSIDE)
-                assert d <= true + 1e-12
-            elif true < -1e-12:
-                assert (status, abs(d - true) <= 1e-12) == (INSIDE, True)
-        for r in (1e-3, 0.05, 0.4):
-            assert triangle_within(geometry.pools.triangles, 1, *point, r) == (abs(true) <= r)
-            for lower_bound in (-np.inf, min(true, 0.0), true):
-                assert sphere_test(geometry.pools, 1, lower_bound, *point, r, scratch) == (true <= r)
-
-
-def test_hierarchy_holds_every_triangle_once(geometry: CollisionGeometry, shape: RigidShape) -> None:
-    meshes = geometry.pools.triangles
-    begin, end = meshes.node_range[1]
-    first, last = meshes.triangle_range[1]
-    assert last - first == len(shape.triangles)
-    corners = meshes.corners.reshape(-1, 3, 3)
-    seen = []
-    node = begin
-    while node < end:
-        count = meshes.node_count[node]
-        below = range(node, meshes.node_skip[node])
-        leaves = [t for b in below for t in range(meshes.node_first[b], meshes.node_first[b] + meshes.node_count[b])]
-        held = corners[leaves].reshape(-1, 3)
-        assert np.array_equal(meshes.node_box[node], np.concatenate([held.min(axis=0), held.max(axis=0)]))
-        if count:
-            assert meshes.node_skip[node] == node + 1
-            seen += leaves
-        node += 1
-    assert seen == list(range(first, last))
-    mine = corners[first:last].reshape(-1, 9)
-    assert np.array_equal(np.unique(mine, axis=0), np.unique(shape.corners.reshape(-1, 9), axis=0))
-
-
 def _world_of(shape: RigidShape, *others: CollisionBody, settings: Settings = SETTINGS, **fields) -> CollisionWorld:
     world = CollisionWorld(settings)
     world.add_body(CollisionBody(1, 1, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel(), **fields))
     for other in others:
         world.add_body(other)
     return world
-
-
-@pytest.mark.parametrize(
-    "body", [ball(1.0, 0.3), shell(1.0, 0.6, 0.4), bowl(2.0, 0.2, 0.4, 0.6), brick((2.0, 1.0, 0.8), 0.4)]
-)
-def test_masses_equal_those_of_the_same_body_in_tetrahedra(body) -> None:
-    surface = boundary_of(body)
-    moved = RigidShape(surface.vertices + [0.3, -2.0, 1.0], surface.triangles)
-    whole = CollisionWorld(SETTINGS)
-    whole.add_body(
-        CollisionBody(
-            1, 1, vertices=(body.vertices + [0.3, -2.0, 1.0]).ravel(), tetrahedra=body.tetrahedra.ravel(), density=700.0
-        )
-    )
-    mine, theirs = _world_of(moved, density=700.0).fragments(), whole.fragments()
-    assert mine.masses[0] == pytest.approx(theirs.masses[0], rel=1e-12)
-    assert np.allclose(mine.centers_of_mass, theirs.centers_of_mass, atol=1e-12)
-    assert np.allclose(mine.inertias, theirs.inertias, atol=1e-12 * theirs.masses[0] * 10.0)
-    assert mine.sampling_gaps[0] == pytest.approx(theirs.sampling_gaps[0])
-
-
-def test_mass_of_a_block_in_closed_form() -> None:
-    registry = _world_of(l_block(), density=1000.0).fragments()
-    volume = (1.7 * 1.5 - 0.7 * 0.9) * 0.6
-    assert registry.masses[0] == pytest.approx(1000.0 * volume, rel=1e-14)
-    x = (1.7 * 1.5 * (-0.15) - 0.7 * 0.9 * 0.35) * 0.6 / volume
-    assert registry.centers_of_mass[0] == pytest.approx(x, rel=1e-13)
 
 
 def test_masses_equal_those_of_trimesh(shape: RigidShape) -> None:
@@ -184,35 +111,6 @@ def test_masses_equal_those_of_trimesh(shape: RigidShape) -> None:
     assert np.allclose(registry.centers_of_mass, theirs.center_mass, atol=1e-12)
     xx, xy, xz, yy, yz, zz = registry.inertias
     assert np.allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], theirs.moment_inertia, atol=1e-9)
-
-
-def test_sphere_contacts_equal_brute_force(shape: RigidShape) -> None:
-    """The deepest contact whose own point is on the sphere; test_sphere_contacts.py has the others."""
-    world = _world_of(shape, CollisionBody(2, 2, primitive=SolidPrimitive(SPHERE, (0.2,))))
-    random = np.random.default_rng(6)
-    touching, place = 0, np.array([0.5, 0.1, -0.3])
-    for _ in range(40):
-        center, turn = random.uniform(-1.2, 1.2, 3), Rotation.random(random_state=random)
-        states = FragmentStates(
-            1, 0, np.array([1, 2]), np.concatenate([place, center]), np.concatenate([turn.as_quat(), IN_PLACE])
-        )
-        answer = world.contacts(states)
-        in_body = turn.inv().apply(center - place)
-        distance, nearest = nearest_on_triangles(in_body[None], shape.corners)
-        gap = true_distance(shape, in_body[None])[0] - 0.2
-        own, its = answer.points_b.reshape(-1, 3), answer.points_a.reshape(-1, 3)
-        on_sphere = np.abs(np.linalg.norm(own - center, axis=1) - 0.2) < 1e-12
-        if gap > world.settings.detection_tolerance * 0.2:
-            assert not len(answer.gaps)
-            continue
-        deepest = np.flatnonzero(on_sphere)[np.argmin(answer.gaps[on_sphere])]
-        assert answer.gaps[deepest] == pytest.approx(gap, abs=1e-12)
-        assert np.linalg.norm(its[deepest] - center) == pytest.approx(distance[0], abs=1e-12)
-        assert true_distance(shape, turn.inv().apply(its[deepest] - place)[None])[0] == pytest.approx(0.0, abs=1e-12)
-        if np.count_nonzero(np.abs(distances_to_triangles(in_body, shape.corners)[0] - distance[0]) < 1e-6) == 1:
-            assert np.allclose(its[deepest], turn.apply(nearest[0]) + place, atol=1e-12)
-        touching += 1
-    assert touching >= 5
 
 
 @pytest.mark.parametrize("kind", [CollisionWorld, SampledWorld], ids=["nearest", "facing"])
@@ -274,22 +172,6 @@ def test_equal_geometries_share_one_preprocess() -> None:
     pools = world._registry.geometry.pools
     assert len(pools.triangles.node_range) == 1 and len(pools.triangles.corners) == len(shape.triangles)
     assert (pools.fragment.sample_begin == pools.fragment.sample_begin[0]).all()
-
-
-def test_same_bytes_for_any_number_of_threads() -> None:
-    shape = noisy_ball()
-    twins = [CollisionBody(i, i, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel()) for i in (2, 3)]
-    random = np.random.default_rng(9)
-    states = FragmentStates(
-        1,
-        0,
-        np.array([1, 2, 3]),
-        random.uniform(-0.7, 0.7, 9),
-        Rotation.random(3, random_state=random).as_quat().ravel(),
-    )
-    answers = [_world_of(shape, *twins, settings=Settings(threads=t)).contacts(states) for t in (1, 2, 5)]
-    assert len(answers[0].gaps) > 10
-    assert len({b"".join(np.asarray(field).tobytes() for field in answer) for answer in answers}) == 1
 
 
 def test_viewers_get_the_triangles_unchanged(shape: RigidShape) -> None:

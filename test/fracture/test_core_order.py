@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.max_distance_order import order_by_definition, two_furthest
+from oracles.max_distance_order import order_by_definition
 
 from fracture_collision.core.glondu2014.max_distance_order import max_distance_order
-from fracture_collision.core.glondu2014.point_hierarchy import build_point_hierarchy
 
 LATTICE = st.tuples(*[st.integers(-3, 3)] * 3)
 FLOAT = st.floats(-1e3, 1e3, allow_subnormal=False)
@@ -63,42 +62,5 @@ def test_points_of_any_scale(points: list) -> None:
     _check(np.array(points))
 
 
-@settings(max_examples=100, deadline=None)
-@given(st.integers(2, 400), st.integers(0, 10_000), st.booleans())
-def test_ranks_and_parents_follow_the_paper(count: int, seed: int, on_lattice: bool) -> None:
-    """Levels by rank; a parent is the nearest of the level above; the furthest two come first."""
-    points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
-    if on_lattice:
-        points = np.round(points * 3) / 3
-    ranks = max_distance_order(points)
-    assert tuple(ranks.order[:2]) == two_furthest(points)
-    for rank in range(1, count):
-        level = int(np.ceil(np.log2(rank + 1)))
-        assert ranks.level[rank] == level
-        above = points[ranks.order[: 2 ** (level - 1)]]
-        nearest = ((above - points[ranks.order[rank]]) ** 2).sum(axis=1)
-        assert nearest[ranks.parent[rank]] == nearest.min()
-
-
 def test_the_order_of_no_points_is_empty() -> None:
     assert [len(column) for column in max_distance_order(np.zeros((0, 3)))] == [0, 0, 0]
-
-
-@pytest.mark.parametrize("count", [1, 7, 8, 15, 16, 17, 1000])
-def test_the_hierarchy_holds_every_point_once(count: int) -> None:
-    points = _sphere(count)
-    hierarchy = build_point_hierarchy(points)
-    assert np.array_equal(np.sort(hierarchy.index), np.arange(count))
-    assert np.array_equal(hierarchy.points, points[hierarchy.index])
-    for node, (begin, end) in enumerate(zip(hierarchy.begin, hierarchy.end, strict=True)):
-        below = hierarchy.points[begin:end]
-        assert np.array_equal(hierarchy.box[node], np.concatenate([below.min(axis=0), below.max(axis=0)]))
-        assert hierarchy.lowest[node] == hierarchy.index[begin:end].min()
-        if 2 * node + 1 < len(hierarchy.begin):
-            left, right = 2 * node + 1, 2 * node + 2
-            assert (begin, hierarchy.end[left], end) == (
-                hierarchy.begin[left], hierarchy.begin[right], hierarchy.end[right],
-            )  # fmt: skip
-        else:
-            assert end - begin <= 16
-            assert (np.diff(hierarchy.index[begin:end]) > 0).all()

@@ -72,14 +72,3 @@ def test_trees_are_sphere_trees_after_each_of_five_fractures(body, curved: bool,
             assert np.array_equal(tree.center[is_node], body.vertices[tree.sample[is_node]])
             assert np.array_equal(tree.on_surface[is_node] == 1, at_surface[tree.sample[is_node]])
             assert tree.on_surface[~is_node].all()
-
-
-def test_trees_of_more_fragments_than_one_mask_holds_are_valid() -> None:
-    case = fractured_world(ball(1.0, 0.16), seeds=120, generations=1)
-    assert len(case.oracle.fragment_ids) > 64
-    for fragment in case.oracle.fragment_ids:
-        row = case.row(fragment)
-        tree = tree_of(case.geometry, row)
-        nodes = tree.sample[(tree.size == 1) & (tree.sample < len(case.oracle.vertices))]
-        assert np.array_equal(np.sort(nodes), np.flatnonzero(case.oracle.labels == fragment))
-        validate_sphere_tree(tree, tree.sample[tree.size == 1])

@@ -9,15 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from worlds.fractured_worlds import SETTINGS, FracturedWorld, fractured_world, with_settings
-from worlds.sampled_worlds import sampled_world
 
 from fracture_collision.core.fracture import touched_tetrahedra
 from fracture_collision.core.memory.pools import BACK_SIDE, FANNED, FRONT_SIDE, KIND, OLD_FACE, OWNER, PARTED, ROW
 from fracture_collision.core.mesh.connected_pieces import connected_pieces
 from fracture_collision.core.mesh.cut_tetrahedron import CUT, DIVIDED
 from fracture_collision.geometry.generators import ball, brick, plate, shell
-from fracture_collision.records import ContactConstraintArray, FragmentStates
-from fracture_collision.world import Settings
 from fracture_collision.world.gates.fracture_match import first_split
 
 SHAPES = {
@@ -95,44 +92,3 @@ def test_split_parts_are_those_that_scipy_finds(nodes: int, edges: int, count: i
     of_ends = labels[ends]
     between = int(((of_ends >= 0).all(axis=1) & (of_ends[:, 0] != of_ends[:, 1])).sum())
     assert first_split(ends, begin, labels, count) == (split[0] if split else -1, between)
-
-
-EVERY = SETTINGS._replace(penetration_tolerance=0.0, contacts_per_pair=10**6)
-
-
-@pytest.mark.parametrize("curved", [False, True], ids=["flat", "curved"])
-def test_no_sample_is_deeper_than_it_has_moved(curved: bool) -> None:
-    """Hardly moved fragments: if epsilon exceeds their motion, no search is needed, and the bound covers the motion."""
-    case = fractured_world(ball(1.0, 0.25), 8, generations=2, curved=curved)
-    coarse = Settings(threads=1, penetration_tolerance=0.05)
-    quick, every = sampled_world(case, coarse), with_settings(case, EVERY)
-    visits = np.zeros(2)
-    for seed in range(5):
-        states = case.states(0.01, seed)
-        quick.forget()
-        answer, full = quick.contacts(states), every.contacts(states)
-        visits += quick.last_visits, every.last_visits
-        told = {pair: i for i, pair in enumerate(_pairs(answer))}
-        for i, pair in enumerate(_pairs(full)):
-            deepest = -full.gaps[full.pair_begin[i] : full.pair_begin[i + 1]].min(initial=0.0)
-            bound, listed = coarse.penetration_tolerance, 0.0
-            if pair in told:
-                k = told[pair]
-                bound = answer.missed_depth_bound[k]
-                listed = -answer.gaps[answer.pair_begin[k] : answer.pair_begin[k + 1]].min(initial=0.0)
-            assert deepest <= max(bound, listed) + 1e-12
-    assert visits[0] < visits[1]
-
-
-def _pairs(answer: ContactConstraintArray) -> list[tuple[int, int]]:
-    return list(zip(answer.fragment_a.tolist(), answer.fragment_b.tolist(), strict=True))
-
-
-def test_in_place_no_sample_is_inside_another() -> None:
-    case = fractured_world(ball(1.0, 0.4), 8, generations=3, curved=True)
-    ids = np.array(case.oracle.fragment_ids)
-    still = np.tile([0.0, 0.0, 0.0, 1.0], len(ids))
-    states = FragmentStates(1, case.generations, ids, np.zeros(3 * len(ids)), still)
-    answer = with_settings(case, EVERY).contacts(states)
-    assert len(answer.gaps) > 100
-    assert answer.gaps.min() > -1e-12

@@ -123,13 +123,6 @@ def assert_ready(seen: Any) -> None:
     until(seen.get_by_role("button", name=BUTTON).is_enabled, bool)
 
 
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[StageWithClients]:
-    stage = StageWithClients(tmp_path)
-    yield stage
-    stage.close()
-
-
 def test_a_scene_and_a_pause_chosen_before_the_simulator_is_there_are_not_lost(
     stage: StageWithClients, tmp_path: Path
 ) -> None:
@@ -170,22 +163,6 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> list[Future]:
 def sends(sent: list[Future]) -> Future:
     sent.append(Future())
     return sent[-1]
-
-
-def test_a_request_is_sent_once_the_service_is_there_and_until_it_has_a_response(sent: list[Future]) -> None:
-    ready, responses = [], []
-    request = RepeatedRequest(lambda: bool(ready))
-    request.begin(lambda: sends(sent), lambda done: responses.append(done.result()))
-    request.look()
-    assert not sent
-    ready.append(True)
-    request.look()
-    request.look()
-    assert len(sent) == 2 and not responses
-    sent[0].set_result("late")
-    sent[1].set_result("second")
-    request.look()
-    assert len(sent) == 2 and responses == ["late"], "the first response counts, and ends it"
 
 
 def test_a_newer_request_replaces_one_without_a_response(sent: list[Future]) -> None:

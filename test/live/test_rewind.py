@@ -4,43 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from worlds.served_scene import ServedScene
 
-from fracture_collision.records import FractureEvent
 from fracture_collision.simulation.live import INTERVAL, KEPT, REACH, Ball, History, LiveScene
 from fracture_collision.simulation.scene.scene import load_scene
-from fracture_collision.simulation.simulation import StepRequest
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.simulation.simulation import StepReport
+from fracture_collision.world import Settings
 
 PLATE = np.array([-0.45, 0.0, 0.7227])  # [m] the first plate
 BALL = Ball(PLATE - [0.0, 0.4, 0.0], np.array([0.0, 7.0, 0.3]), 0.04, 2000.0)
 
 
-class Course:
-    """A live scene with a service, from its beginning or from a moment; it keeps what the service is sent."""
+class Course(ServedScene):
+    """A live scene from its beginning or from a moment."""
 
     def __init__(self, live: LiveScene, history: History, looks_ahead: bool) -> None:
+        super().__init__(live.simulation, Settings(lookahead=0.0025 if looks_ahead else 0.0))
         self.live, self.history = live, history
-        self._world = CollisionWorld(Settings(lookahead=0.0025 if looks_ahead else 0.0))
-        self.requests: list[StepRequest] = []
         for body in live.simulation.start_bodies():
-            self._world.add_body(body)
-        self._tell(history.events)
+            self.world.add_body(body)
+        for event in history.events:
+            self.world.add_fracture(event)
 
-    def _tell(self, events: list[FractureEvent]) -> None:
-        for event in events:
-            self._world.add_fracture(event)
-        self.history.add(events)
-
-    def step(self, count: int) -> None:
+    def step(self, count: int = 1) -> StepReport:
         for _ in range(count):
             self.history.keep(self.live)
-            request = self.live.simulation.begin_step()
-            self.requests.append(request)
-            for body in request.bodies:
-                self._world.add_body(body)
-            self._tell(request.events)
-            contacts = self._world.contacts(request.states)
-            self.live.simulation.finish_step(contacts, self._world.fragments())
+            report = super().step()
+            self.history.add(self.requests[-1].events)
+        return report
 
     def sent(self) -> list[bytes]:
         """States and events as bytes, a step each."""

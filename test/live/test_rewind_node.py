@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from stages.live_player import PLATE, Player
 from stages.ros_stage import StageWithClients
 
@@ -15,15 +12,6 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.conversion import to_record
 
 LONG = 400  # steps, 1 s: more than the interval of moments to go back to
-
-
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[StageWithClients]:
-    made = StageWithClients(tmp_path)
-    try:
-        yield made
-    finally:
-        made.close()
 
 
 def course(messages: list[Any], run_id: int) -> dict[int, list[bytes]]:
@@ -37,9 +25,6 @@ def course(messages: list[Any], run_id: int) -> dict[int, list[bytes]]:
 
 def test_a_rewound_scene_has_the_same_states_and_contacts(stage: StageWithClients) -> None:
     player = Player(stage)
-    states: list[Any] = []
-    topic = qos.FRAGMENT_STATES
-    player.ears.node.create_subscription(topic.message_class, topic.name, states.append, qos.recording(topic.qos))
     player.hands.throw(PLATE - [0.0, 0.5, 0.0], [0.0, 7.0, 0.3])
     player.until(lambda: player.status.fragments > 10, "shards")
     player.steps_go_on(LONG)
@@ -72,8 +57,8 @@ def test_a_rewound_scene_has_the_same_states_and_contacts(stage: StageWithClient
     events: list[Any] = []
     for topic, heard in ((qos.BODIES, bodies), (qos.FRACTURE_EVENTS, events)):
         joined.node.create_subscription(topic.message_class, topic.name, heard.append, topic.qos)
-    player.until(lambda: any(message.run_id == third for message in states), "states of the run")
-    sequence = next(message.fracture_sequence for message in states if message.run_id == third)
+    player.until(lambda: any(message.run_id == third for message in player.states), "states of the run")
+    sequence = next(message.fracture_sequence for message in player.states if message.run_id == third)
     assert sequence > 0
     joined.spin_until(lambda: len(bodies) >= 9 and len(events) >= sequence, "bodies and events of the run")
     assert [event.sequence for event in events] == list(range(1, sequence + 1))
@@ -81,7 +66,7 @@ def test_a_rewound_scene_has_the_same_states_and_contacts(stage: StageWithClient
 
     assert player.answer(player.hands.pause(False)).success
     player.until(lambda: player.status.step > begin + LONG, "the course again")
-    for messages in (states, player.ears.answers):
+    for messages in (player.states, player.ears.answers):
         before, after = course(messages, second), course(messages, third)
         shared = sorted(before.keys() & after.keys())
         assert len(shared) >= LONG and shared[0] == begin

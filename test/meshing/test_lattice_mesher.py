@@ -11,12 +11,11 @@ from fracture_collision.geometry.stored_meshes import bunny
 from fracture_collision.geometry.tetrahedra import (
     FACE_VERTICES,
     boundary_triangles,
-    face_neighbours,
     tetrahedron_volumes,
     unique_edges,
 )
 from fracture_collision.meshing import tetrahedralize_by_lattice
-from fracture_collision.meshing.lattice_mesher import MEAN_EDGE, _lattice, without_pinches
+from fracture_collision.meshing.lattice_mesher import without_pinches
 from fracture_collision.records import CollisionBody
 from fracture_collision.world import CollisionWorld
 
@@ -101,17 +100,6 @@ def test_a_world_accepts_it(name: str) -> None:
 def test_equal_arguments_give_equal_bytes() -> None:
     for one, again in zip(filled("torus", 12), filled("torus", 12), strict=True):
         assert one.tobytes() == again.tobytes()
-
-
-def test_the_lattice_fills_its_box_with_equal_tetrahedra() -> None:
-    points, tetrahedra = _lattice(np.zeros(3), np.array([3.0, 2.0, 1.0]), 1.0)
-    volumes = np.abs(tetrahedron_volumes(points, tetrahedra))
-    assert np.allclose(volumes, 1.0 / 12.0)
-    assert face_neighbours(tetrahedra).shape == (len(tetrahedra), 4)  # raises if more than two share a face
-    assert volumes.sum() == pytest.approx((4 * 4 * 3 + 5 * 3 * 3 + 5 * 4 * 2) / 3.0)  # pairs of cubes, a third each
-    ends = points[unique_edges(tetrahedra)]
-    assert {*np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).round(6)} == {1.0, 0.866025}
-    assert pytest.approx((2.0 + 4.0 * 0.866025) / 6.0) == MEAN_EDGE
 
 
 def test_what_cannot_be_filled_is_named() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import doctest
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,20 +54,6 @@ def test_a_file_without_tetrahedra_or_with_damage_is_rejected(tmp_path: Path) ->
     (tmp_path / "noise.vtk").write_bytes(b"\x00\x01 no mesh")
     with pytest.raises(ValueError, match="noise.vtk: cannot be read as vtk: Illegal VTK header"):
         read_mesh(tmp_path / "noise.vtk")
-
-
-def test_the_reason_that_a_reader_prints_before_it_exits_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
-    def read(_file: Path) -> None:
-        print("Illegal VTK header")
-        sys.exit(1)
-
-    monkeypatch.setitem(sys.modules, "meshio", SimpleNamespace(read=read))
-    (tmp_path / "noise.vtk").touch()
-    with pytest.raises(ValueError, match=r"noise.vtk: cannot be read as vtk: Illegal VTK header"):
-        read_mesh(tmp_path / "noise.vtk")
-    assert capsys.readouterr().out == ""
 
 
 def test_a_body_in_millimetres_is_reported(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from stages.ros_client import ServiceClient
+from stages.ros_stage import StageWithClients
 from worlds.gate_world import EARLIER, FIRST, REFERENCE, record_bytes
 
 from campaigns.bad_input.campaign import every_case, picking
@@ -16,7 +17,7 @@ from campaigns.bad_input.doors import REFUSED, RunDoor, as_bytes
 from campaigns.bad_input.serialized import valid_messages
 from campaigns.bad_input.trial import Case, spoilt
 from fracture_collision.records import INVALID_STATES
-from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id
+from fracture_collision.ros.processes.node_process import NodeProcess
 
 RUN = 41
 WAITED_FOR = 4  # /diagnostics is published once a second
@@ -24,7 +25,7 @@ LATCHED = ("bodies", "fracture_events")
 MORE_MEMORY = 20e6  # [bytes] DDS keeps the received samples of a latched topic
 # There is no order across topics: the event is sent once its body is known to have arrived.
 BEGINNING = (*CLEAN[:-2], ("fragment_states", EARLIER), *CLEAN[-2:])
-LIMITS = {"threads": 1, "max_nodes": SETTINGS.max_nodes, "max_fragments": SETTINGS.max_fragments}
+LIMITS = {"max_nodes": SETTINGS.max_nodes, "max_fragments": SETTINGS.max_fragments}
 
 
 def refused_cases(topic: str) -> list[tuple[Case, str]]:
@@ -80,42 +81,36 @@ def undisturbed() -> tuple[list[bytes], str]:
     return answers, door.world.fragments().digest
 
 
-def test_a_node_survives_bad_messages_and_counts_them(tmp_path: Path) -> None:
-    domain_id = free_domain_id()
-    node, client = NodeProcess("collision_node", LIMITS, domain_id, tmp_path / "node.log"), ServiceClient(domain_id)
-    try:
-        client.await_service()
-        answers = play(client, BEGINNING)[1:]
-        expected: Counter[str] = Counter()
-        before = resident(node)
+def test_a_node_survives_bad_messages_and_counts_them(stage: StageWithClients) -> None:
+    node, client = stage.served(**LIMITS)
+    answers = play(client, BEGINNING)[1:]
+    expected: Counter[str] = Counter()
+    before = resident(node)
 
-        for topic in LATCHED:
-            for case, kind in refused_cases(topic):
-                client.publish(topic, case.record, RUN)
-                expected[f"{topic}: {kind}"] += 1
-        for case, kind in refused_cases("fragment_states"):
-            refused = client.ask(case.record, RUN)
-            assert refused.status == INVALID_STATES and len(refused.gaps) == 0
-            expected[f"fragment_states: {kind}"] += 1
+    for topic in LATCHED:
+        for case, kind in refused_cases(topic):
+            client.publish(topic, case.record, RUN)
+            expected[f"{topic}: {kind}"] += 1
+    for case, kind in refused_cases("fragment_states"):
+        refused = client.ask(case.record, RUN)
+        assert refused.status == INVALID_STATES and len(refused.gaps) == 0
+        expected[f"fragment_states: {kind}"] += 1
 
-        # another run without bodies: its event is held and its states are not answered
-        client.publish("fracture_events", FIRST, RUN + 1)
-        expected["fracture_events: unknown_id"] += 1
-        client.publish("fragment_states", EARLIER, RUN + 1)
+    # another run without bodies: its event is held and its states are not answered
+    client.publish("fracture_events", FIRST, RUN + 1)
+    expected["fracture_events: unknown_id"] += 1
+    client.publish("fragment_states", EARLIER, RUN + 1)
 
-        client.spin_until(lambda: counts(client) == expected, f"these counts: {expected}")
-        assert expected.total() > 300 and len(expected) > 20
-        assert node.exit_status() is None
+    client.spin_until(lambda: counts(client) == expected, f"these counts: {expected}")
+    assert expected.total() > 300 and len(expected) > 20
+    assert node.exit_status() is None
 
-        answers += play(client, ENDING)
-        good_answers, digest = undisturbed()
-        assert answers == good_answers
-        client.spin_until(lambda: client.registries[-1].digest == digest, "the registry that it must have come to")
-        assert resident(node) - before < MORE_MEMORY
-        assert "Traceback" not in node.log_text()
-    finally:
-        node.stop()
-        client.close()
+    answers += play(client, ENDING)
+    good_answers, digest = undisturbed()
+    assert answers == good_answers
+    client.spin_until(lambda: client.registries[-1].digest == digest, "the registry that it must have come to")
+    assert resident(node) - before < MORE_MEMORY
+    assert "Traceback" not in node.log_text()
 
 
 def malformed(topic: str) -> Iterator[bytes]:
@@ -133,28 +128,22 @@ def malformed(topic: str) -> Iterator[bytes]:
 TOPICS_READ_AS_BYTES = ("bodies", "fracture_events", "fragment_states")
 
 
-def test_a_node_survives_corrupted_bytes_and_counts_them(tmp_path: Path) -> None:
-    domain_id = free_domain_id()
-    node, client = NodeProcess("collision_node", LIMITS, domain_id, tmp_path / "node.log"), ServiceClient(domain_id)
-    try:
-        client.await_service()
-        first = play(client, BEGINNING)[1:]
-        before = resident(node)
-        sent: Counter[str] = Counter()
-        for topic in TOPICS_READ_AS_BYTES:
-            for data in malformed(topic):
-                client.publish_bytes(topic, data)
-                sent[key := f"{topic}: malformed"] += 1
-                # only the newest states are read: wait for the first few, the others may be dropped unread
-                if topic not in LATCHED and sent[key] <= WAITED_FOR:
-                    client.spin_until(lambda key=key: counts(client)[key] == sent[key], f"{key} {sent[key]} times")
-        assert min(sent.values()) > 40
-        latched = {key: n for key, n in sent.items() if key.split(":")[0] in LATCHED}
-        client.spin_until(lambda: all(counts(client)[key] == n for key, n in latched.items()), f"{latched}")
-        assert node.exit_status() is None
-        assert play(client, CLEAN[-1:]) == first
-        assert resident(node) - before < MORE_MEMORY
-        assert "Traceback" not in node.log_text()
-    finally:
-        node.stop()
-        client.close()
+def test_a_node_survives_corrupted_bytes_and_counts_them(stage: StageWithClients) -> None:
+    node, client = stage.served(**LIMITS)
+    first = play(client, BEGINNING)[1:]
+    before = resident(node)
+    sent: Counter[str] = Counter()
+    for topic in TOPICS_READ_AS_BYTES:
+        for data in malformed(topic):
+            client.publish_bytes(topic, data)
+            sent[key := f"{topic}: malformed"] += 1
+            # only the newest states are read: wait for the first few, the others may be dropped unread
+            if topic not in LATCHED and sent[key] <= WAITED_FOR:
+                client.spin_until(lambda key=key: counts(client)[key] == sent[key], f"{key} {sent[key]} times")
+    assert min(sent.values()) > 40
+    latched = {key: n for key, n in sent.items() if key.split(":")[0] in LATCHED}
+    client.spin_until(lambda: all(counts(client)[key] == n for key, n in latched.items()), f"{latched}")
+    assert node.exit_status() is None
+    assert play(client, CLEAN[-1:]) == first
+    assert resident(node) - before < MORE_MEMORY
+    assert "Traceback" not in node.log_text()

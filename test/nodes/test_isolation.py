@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -103,14 +102,6 @@ def default_environment(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     return loopback_environment(free_domain_id())
 
 
-def test_nodes_are_restricted_to_localhost_by_default(
-    default_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert default_environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    assert loopback_environment(7)["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
-
-
 def test_another_machine_does_not_discover_the_service(machines: Machines, default_environment: dict[str, str]) -> None:
     assert not seen_from_elsewhere(machines, default_environment)
 
@@ -131,13 +122,3 @@ def test_another_machine_discovers_a_service_on_the_network(
     """The control: without it the tests above would prove nothing."""
     open_to_all = default_environment | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
     assert seen_from_elsewhere(machines, open_to_all)
-
-
-def test_the_discovery_range_alone_does_not_hide_the_service_from_its_address(
-    machines: Machines, default_environment: dict[str, str], tmp_path: Path
-) -> None:
-    """Why the discovery range alone is not enough."""
-    profiles = tmp_path / "profiles_that_say_nothing.xml"
-    profiles.write_text('<dds xmlns="http://www.eprosima.com"><profiles/></dds>')
-    unannounced = default_environment | {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles)}
-    assert seen_from_elsewhere(machines, unannounced, ROS_STATIC_PEERS=HERE)

@@ -77,13 +77,6 @@ def test_nodes_end_by_signals_in_any_order(tmp_path: Path) -> None:
     assert list(orders_of_ending(tmp_path, SCENE, no_progress)) == []
 
 
-def test_the_simulator_logs_that_it_waits_and_that_it_continues(tmp_path: Path, reference: Digests) -> None:
-    kill_services(tmp_path, SCENE, 1, 5, reference, no_progress, SOON)
-    (log,) = (tmp_path / "run_0").glob("simulator_node_*.log")
-    words = log.read_text()
-    assert "again" in words and "continuing" in words
-
-
 def test_a_killed_node_leaves_no_files(tmp_path: Path) -> None:
     before = litter()
     with stage(tmp_path) as nodes:

@@ -107,10 +107,10 @@ def test_all_end_when_a_node_dies(victim: str, tmp_path: Path) -> None:
 
 def test_an_invalid_parameter_file_ends_all(tmp_path: Path) -> None:
     file = tmp_path / "service.yaml"
-    file.write_text("/**:\n  ros__parameters:\n    field: guessed\n")
+    file.write_text("/**:\n  ros__parameters:\n    method: guessed\n")
     with launched("fracture_collision.launch.py", tmp_path, "scene:=pane", f"parameters:={file}") as run:
         run.end()
-        assert "collision_node: field: 'guessed' is not one of exact, averaged" in run.said
+        assert "collision_node: method: 'guessed' is not one of exact, glondu2014" in run.said
         assert run.finished_cleanly() == {"simulator_node"}
 
 

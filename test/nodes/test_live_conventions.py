@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from xml.etree import ElementTree
 
 import numpy as np
 import pybullet
 import pytest
-from fracture_collision.msg import FragmentStates, SimulationStatus
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import JointState
-from stages.ros_client import PATIENCE
+from stages.live_player import Player
 from stages.ros_stage import StageWithClients
 from std_msgs.msg import String
 
 from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.wire import qos
-from fracture_collision.ros.wire.interfaces import LIVE_STATUS
 from fracture_collision.ros.wire.message_definitions import type_hash
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.arm import PARTS, URDF
@@ -31,39 +27,16 @@ TF_HASH = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f0
 LINKS = [f"lbr_iiwa_link_{j}" for j in range(8)]
 
 
-class Visitor:
+class Visitor(Player):
     """A live scene with an arm in a namespace, and a node with use_sim_time beside it."""
 
     def __init__(self, stage: StageWithClients) -> None:
+        super().__init__(stage, "vase", CELL, "-p", "use_sim_time:=true")
         self.stage = stage
-        stage.start("collision_node", *CELL)
-        self.simulator = stage.start("live_simulator_node", *CELL, scene="vase", seed=7)
-        self.ears = stage.client(*CELL, "-p", "use_sim_time:=true")
-        self.hands = LiveClient(self.ears.node)
-        self.told: list[SimulationStatus] = []
-        self.states: list[FragmentStates] = []
-        self.joints: list[JointState] = []
         self.clock: list[Clock] = []
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-        for message_class, name, collected in (
-            (SimulationStatus, LIVE_STATUS.name, self.told), (FragmentStates, "fragment_states", self.states),
-            (JointState, "joint_states", self.joints), (Clock, "/clock", self.clock),
-        ):  # fmt: skip
-            self.ears.node.create_subscription(message_class, name, collected.append, reliable)
-        self.until(lambda: self.hands.is_there() and bool(self.told) and bool(self.joints), "a live scene")
-
-    def until(self, condition, what: str) -> None:
-        self.ears.spin_until(condition, what, 2 * PATIENCE)
-
-    def answer(self, future):
-        self.until(future.done, "an answer")
-        return future.result()
-
-    def begin(self, scene: str) -> None:
-        before = self.told[-1].run_id
-        assert self.answer(self.hands.set_parameters(next_scene=scene)).results[0].successful
-        assert self.answer(self.hands.pause(False)).success and self.answer(self.hands.reset()).success
-        self.until(lambda: self.told[-1].run_id != before and self.told[-1].step > 5, "another run")
+        self.ears.node.create_subscription(Clock, "/clock", self.clock.append, reliable)
+        self.until(lambda: bool(self.joints), "an arm")
 
     def now(self) -> int:
         """[ns] of a node with use_sim_time."""
@@ -71,12 +44,8 @@ class Visitor:
 
 
 @pytest.fixture(scope="module")
-def visitor(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Visitor]:
-    stage = StageWithClients(tmp_path_factory.mktemp("live"))
-    try:
-        yield Visitor(stage)
-    finally:
-        stage.close()
+def visitor(shared_stage: StageWithClients) -> Visitor:
+    return Visitor(shared_stage)
 
 
 def nanoseconds(stamp) -> int:
@@ -84,7 +53,7 @@ def nanoseconds(stamp) -> int:
 
 
 def test_nodes_with_use_sim_time_follow_the_scene(visitor: Visitor) -> None:
-    visitor.begin("vase")
+    visitor.begin_again("vase")
     visitor.states.clear()
     visitor.clock.clear()
     visitor.until(lambda: len(visitor.states) > 30 and len(visitor.clock) > 30, "steps")
@@ -97,7 +66,7 @@ def test_nodes_with_use_sim_time_follow_the_scene(visitor: Visitor) -> None:
     visitor.until(lambda: len(visitor.clock) > 3, "the clock of a pause, for nodes that join")
     stands = visitor.now()
     assert {nanoseconds(each.clock) for each in visitor.clock[1:]} == {stands} and stands >= ticks[-1]
-    visitor.begin("vase")
+    visitor.begin_again("vase")
     visitor.until(lambda: visitor.now() < stands, "a clock that jumped back with the reset")
 
 
@@ -132,7 +101,7 @@ def test_a_renamed_simulator_takes_its_private_names_along(stage: StageWithClien
 
 
 def test_a_late_viewer_gets_the_arm_and_none_where_there_is_none(visitor: Visitor) -> None:
-    visitor.begin("vase")
+    visitor.begin_again("vase")
     topic = qos.ROBOT_DESCRIPTION
     heard: list[String] = []
     visitor.ears.node.create_subscription(String, topic.name, heard.append, topic.qos)
@@ -141,16 +110,16 @@ def test_a_late_viewer_gets_the_arm_and_none_where_there_is_none(visitor: Visito
     assert [link.get("name") for link in robot.iter("link")] == LINKS
     assert [joint.get("name") for joint in robot.iter("joint")] == JOINTS == visitor.joints[-1].name
     assert not list(robot.iter("mesh")) and len(list(robot.iter("visual"))) == len(PARTS)
-    visitor.begin("plates")
+    visitor.begin_again("plates")
     visitor.until(lambda: visitor.ears.node.count_publishers(topic.name) == 0, "no arm any more")
-    visitor.begin("vase")
+    visitor.begin_again("vase")
     visitor.until(lambda: len(heard) == 2 and heard[0] == heard[1], "the arm again")
 
 
 def test_tf_has_the_frames_of_the_links(visitor: Visitor) -> None:
     tf2_msgs = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs is neither of a ROS nor built by pip install")
     assert type_hash(tf2_msgs.TFMessage) == TF_HASH, "that of every ROS, from Iron on"
-    visitor.begin("vase")
+    visitor.begin_again("vase")
     moving: list[tf2_msgs.TFMessage] = []
     fixed: list[tf2_msgs.TFMessage] = []
     for topic, collected in ((qos.TF, moving), (qos.TF_STATIC, fixed)):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +14,8 @@ from fracture_collision.share import share_directory
 
 
 @pytest.fixture(scope="module")
-def one_player(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Player]:
-    stage = StageWithClients(tmp_path_factory.mktemp("live"))
-    try:
-        yield Player(stage)
-    finally:
-        stage.close()
+def one_player(shared_stage: StageWithClients) -> Player:
+    return Player(shared_stage)
 
 
 @pytest.fixture

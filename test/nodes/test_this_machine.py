@@ -53,9 +53,7 @@ def nothing_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_nodes_communicate_with_sockets_on_loopback_only(stage: StageWithClients) -> None:
-    node = stage.start("collision_node")
-    client = stage.client()
-    client.await_service()
+    node, _ = stage.served()
     assert udp_addresses(node.pid) == {"127.0.0.1"}
 
 

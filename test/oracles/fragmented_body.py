@@ -64,6 +64,15 @@ class Parts(NamedTuple):
     to_part: np.ndarray  # (c, 24, 4, 4) weights in a tetrahedron @ to_part are weights in a part
 
 
+def uniform_points(
+    vertices: np.ndarray, tetrahedra: np.ndarray, count: int, random: np.random.Generator
+) -> np.ndarray:
+    """Points (count, 3) [m] uniform over the volume of a body."""
+    volumes = tetrahedron_volumes(vertices, tetrahedra)
+    corners = vertices[tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]]
+    return np.einsum("nij,ni->nj", corners, random.dirichlet(np.ones(4), count))
+
+
 class FragmentedBody:
     """A tetrahedral body (vertices (n, 3) [m], tetrahedra (m, 4)) and the fracture events it has seen."""
 
@@ -218,13 +227,6 @@ class FragmentedBody:
         """Depth (n,) [m] of each point in the fragment, 0 for those that it does not own; nearest surface points."""
         distance, nearest = self.distance_to_surface(fragment_id, points, kinds)
         return np.where(self.owner(points) == fragment_id, distance, 0.0), nearest
-
-    def distance_outside(
-        self, fragment_id: int, points: np.ndarray, kinds: tuple[str, ...] = ALL_KINDS
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Distance (n,) [m] of each point outside to the fragment, 0 for those that it owns; nearest surface points."""
-        distance, nearest = self.distance_to_surface(fragment_id, points, kinds)
-        return np.where(self.owner(points) == fragment_id, 0.0, distance), nearest
 
     def mass_properties(self, fragment_id: int, density: float = 1.0) -> tuple[float, np.ndarray, np.ndarray]:
         """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg m2], body axes."""

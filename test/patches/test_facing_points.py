@@ -29,6 +29,17 @@ def surface_of(mesh: trimesh.Trimesh) -> Surface:
     return make_surface(mesh.triangles.reshape(-1, 9).copy())
 
 
+def two_shapes(random: np.random.Generator) -> tuple[list[trimesh.Trimesh], np.ndarray]:
+    """Anywhere about each other, and a unit direction."""
+    pair = [SHAPES[name].copy() for name in random.choice(list(SHAPES), 2)]
+    for mesh in pair:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = Rotation.random(random_state=random).as_matrix(), random.normal(size=3) * 0.25
+        mesh.apply_transform(pose)
+    n = random.normal(size=3)
+    return pair, n / np.linalg.norm(n)
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_surface_has_the_convex_edges_of_trimesh(shape: str) -> None:
     mesh = SHAPES[shape]
@@ -63,17 +74,10 @@ def away(mesh: trimesh.Trimesh, points: np.ndarray) -> float:
 def test_no_ray_finds_less_than_the_least_gap() -> None:
     random, excess = np.random.default_rng(5), []
     for _ in range(60):
-        pair = [SHAPES[name].copy() for name in random.choice(list(SHAPES), 2)]
-        for mesh in pair:
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = Rotation.random(random_state=random).as_matrix(), random.normal(size=3) * 0.25
-            mesh.apply_transform(pose)
-        a, b = pair
-        n = random.normal(size=3)
-        n /= np.linalg.norm(n)
+        (a, b), n = two_shapes(random)
         found: FacingPoints = facing_points(Posed(*surface_of(a)), Posed(*surface_of(b)), n, (-np.inf, 1e9), 1.0)
         axes = axes_along(n)
-        seen_a, seen_b = (mesh.vertices @ axes.T for mesh in pair)
+        seen_a, seen_b = (mesh.vertices @ axes.T for mesh in (a, b))
         low = np.maximum(seen_a.min(axis=0), seen_b.min(axis=0))
         high = np.minimum(seen_a.max(axis=0), seen_b.max(axis=0))
         if (low > high)[:2].any():
@@ -110,13 +114,8 @@ def test_the_overlap_is_that_of_the_deepest_point() -> None:
     """Of those that are not deeper than asked for; where it may end early, some overlap beyond what is enough."""
     random, deep = np.random.default_rng(6), 0
     for _ in range(60):
-        posed = []
-        for name in random.choice(list(SHAPES), 2):
-            mesh, pose = SHAPES[name].copy(), np.eye(4)
-            pose[:3, :3], pose[:3, 3] = Rotation.random(random_state=random).as_matrix(), random.normal(size=3) * 0.25
-            posed.append(Posed(*surface_of(mesh.apply_transform(pose))))
-        n = random.normal(size=3)
-        n /= np.linalg.norm(n)
+        pair, n = two_shapes(random)
+        posed = [Posed(*surface_of(mesh)) for mesh in pair]
         gaps = facing_points(*posed, n, (-np.inf, 0.0), 1.0).gaps
         overlap = max(-gaps.min(initial=0.0), 0.0)
         assert overlap_along(*posed, n, -np.inf, np.inf, 1.0) == overlap

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 import trimesh
 
+from fracture_collision.core.memory.tables import Table
 from fracture_collision.core.patches.pair_contacts import Patch, Placing, Wanted, mesh_patch
-from fracture_collision.core.patches.shapes import Shapes, ShapeTable, hull_of
+from fracture_collision.core.patches.shapes import Shapes, append_shapes, hull_of
 
 UP = (0.0, 0.0, 1.0)
 
 
 def shapes_of(*meshes: trimesh.Trimesh) -> Shapes:
-    table = ShapeTable()
+    table = Table(Shapes)
     for mesh in meshes:
         triangles = mesh.triangles.reshape(-1, 9).copy()
-        table.append(triangles, np.array([0, len(triangles)]))
+        append_shapes(table, triangles, np.array([0, len(triangles)]))
     return table.view
 
 

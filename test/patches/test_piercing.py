@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from oracles.pierced_triangles import all_pierced
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
@@ -31,21 +32,8 @@ def posed(mesh: trimesh.Trimesh, turn: Rotation | None = None, offset=(0.0, 0.0,
     )  # fmt: skip
 
 
-def volume(a, b, c, d):
-    return np.einsum("...i,...i", np.cross(b - a, c - a), d - a)
-
-
-def all_pierced(a: Posed, b: Posed) -> set[tuple[int, int]]:
-    first, second = a.corners[a.triangles][:, None], b.corners[b.triangles][None]
-    found = np.zeros((len(a.triangles), len(b.triangles)), bool)
-    for own, other in ((first, second), (second, first)):
-        u, v, w = (other[:, :, k] for k in range(3))
-        for k in range(3):
-            p, q = own[:, :, k], own[:, :, (k + 1) % 3]
-            x, y, z = volume(p, q, u, v), volume(p, q, v, w), volume(p, q, w, u)
-            through = ((x > 0) & (y > 0) & (z > 0)) | ((x < 0) & (y < 0) & (z < 0))
-            found |= through & (volume(u, v, w, p) * volume(u, v, w, q) < 0.0)
-    return set(zip(*(rows.tolist() for rows in np.nonzero(found)), strict=True))
+def corners_of(surface: Posed) -> np.ndarray:
+    return surface.corners[surface.triangles]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -58,7 +46,7 @@ def test_pairs_that_pierce_each_other_are_all_found_once(seed: int) -> None:
         n = random.normal(size=3)
         found = [tuple(pair) for pair in pierced_pairs(a, b, n / np.linalg.norm(n)).tolist()]
         assert len(found) == len(set(found))
-        assert set(found) == all_pierced(a, b)
+        assert set(found) == all_pierced(corners_of(a), corners_of(b))
         pierced += len(found) > 0
     assert pierced > 10
 
@@ -141,7 +129,8 @@ def test_whether_anything_pierces_anything_is_what_all_pairs_say(seed: int) -> N
         for moved in (np.zeros(3), reach * (1.0 - 1e-9) * n / np.linalg.norm(n)):
             placed = places[0], places[1] + moved
             poses = tuple((turn.as_matrix(), place) for turn, place in zip(turns, placed, strict=True))
-            truth = len(all_pierced(posed(meshes[i], turns[0], placed[0]), posed(meshes[j], turns[1], placed[1]))) > 0
+            both = posed(meshes[i], turns[0], placed[0]), posed(meshes[j], turns[1], placed[1])
+            truth = len(all_pierced(*map(corners_of, both))) > 0
             room = np.empty((4000, 2), np.int32)
             pierce, count = do_pierce(surfaces[i], surfaces[j], poses, n / np.linalg.norm(n), (room, reach))
             assert pierce == truth and (count < 0) == truth

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import time
 from pathlib import Path
 from statistics import median
@@ -13,11 +12,11 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from stages.ros_client import ServiceClient
 from stages.ros_stage import StageWithClients
-from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, expected_contacts, field_bytes, ground
+from worlds.broken_bar import BAR, GROUND, STATES, expected_contacts, tell_all
+from worlds.gate_world import FIRST, record_bytes
 
-from campaigns.kills.stage import await_step
 from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world import Settings
 from fracture_collision.world.settings import settings_text
 
 RUN = 41
@@ -27,26 +26,10 @@ TWO_BOXES = FragmentStates(
 )
 
 
-def tell_all(client: ServiceClient, run_id: int = RUN) -> None:
-    for body in (breakable_body(), ground()):
-        client.publish("bodies", body, run_id)
-    for event in (FIRST, SECOND):
-        client.publish("fracture_events", event, run_id)
-
-
 def tell_two_boxes(client: ServiceClient, run_id: int) -> None:
     for number in (1, 2):
         box = CollisionBody(number, number, primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)))
         client.publish("bodies", box, run_id)
-
-
-def answer_of(settings: Settings) -> list[bytes]:
-    world = CollisionWorld(settings)
-    for body in (breakable_body(), ground()):
-        world.add_body(body)
-    for event in (FIRST, SECOND):
-        world.add_fracture(event)
-    return field_bytes(world.contacts(STATES))
 
 
 # --- two simulators ---------------------------------------------------------------------------------------------
@@ -54,18 +37,16 @@ def answer_of(settings: Settings) -> list[bytes]:
 
 def test_two_simulators_do_not_mix_their_runs(stage: StageWithClients) -> None:
     """A new run id is a new scene; the simulator of the earlier one gets an explanation, and no answers."""
-    stage.start("collision_node", threads=1)
-    first = stage.client()
-    first.await_service()
-    tell_all(first)
-    assert field_bytes(first.ask(STATES, RUN)) == field_bytes(expected_contacts())
+    _, first = stage.served()
+    tell_all(first, RUN)
+    assert record_bytes(first.ask(STATES, RUN)) == record_bytes(expected_contacts())
 
     second = stage.client()
     second.await_service()
     tell_two_boxes(second, RUN + 1)
     assert second.ask(TWO_BOXES, RUN + 1).fragment_b.tolist() == [2]
     first.publish("fracture_events", FIRST._replace(sequence=3, fragment_id=10), RUN)
-    first.publish("bodies", ground()._replace(sequence=9, body_id=9, fragment_id=90), RUN)
+    first.publish("bodies", GROUND._replace(sequence=9, body_id=9, fragment_id=90), RUN)
     first.publish("fragment_states", STATES._replace(step=6), RUN)
     for topic in ("bodies", "fracture_events", "fragment_states"):
         first.await_refusal(f"{topic}: other_run", f"run {RUN} is over: run {RUN + 1} has begun since")
@@ -76,61 +57,44 @@ def test_two_simulators_do_not_mix_their_runs(stage: StageWithClients) -> None:
 
 
 def test_bodies_and_states_may_be_published_by_two_processes(stage: StageWithClients) -> None:
-    stage.start("collision_node", threads=1)
-    first = stage.client()
-    first.await_service()
-    tell_all(first)
+    _, first = stage.served()
+    tell_all(first, RUN)
     first.ask(STATES, RUN)
     first.drop_publisher("fragment_states")
     second = stage.client()
     second.drop_publisher("bodies")
     second.drop_publisher("fracture_events")
     second.await_service()
-    assert field_bytes(second.ask(STATES, RUN)) == field_bytes(expected_contacts())
-
-
-def test_a_restarted_simulator_is_followed_at_once(stage: StageWithClients) -> None:
-    """DDS detects a killed participant when its lease expires, after 20 s; a new run begins with its first body."""
-    service = stage.start("collision_node", threads=1)
-    first = stage.start("simulator_node", scene="pane", progress=True)
-    await_step(first, 0, service)
-    first.stop(patience=0.0, orders=(signal.SIGKILL,))
-    successor = stage.start("simulator_node", scene="pane", progress=True)
-    assert successor.wait(240.0) == 0, successor.log_text()
-    words = service.log_text()
-    assert words.count(" begins") == 2 and "other_run" not in words
+    assert record_bytes(second.ask(STATES, RUN)) == record_bytes(expected_contacts())
 
 
 # --- parameters --------------------------------------------------------------------------------------------------
 
 
 def test_settings_change_between_two_answers(stage: StageWithClients) -> None:
-    service = stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
-    tell_all(client)
+    service, client = stage.served()
+    tell_all(client, RUN)
     start = Settings(threads=1)
-    assert field_bytes(client.ask(STATES, RUN)) == answer_of(start)
+    assert record_bytes(client.ask(STATES, RUN)) == record_bytes(expected_contacts(start))
     for change in (
         {"contacts_per_pair": 2}, {"penetration_tolerance": 0.1}, {"detection_tolerance": 0.05}, {"max_work": 40},
         {"method": "glondu2014"}, {"threads": 2},
     ):  # fmt: skip
         assert client.set_parameters(**change) == [""]
-        assert field_bytes(client.ask(STATES, RUN)) == answer_of(start._replace(**change)), change
+        changed = record_bytes(expected_contacts(start._replace(**change)))
+        assert record_bytes(client.ask(STATES, RUN)) == changed, change
         name, value = next(iter(change.items()))
         client.spin_until(lambda name=name, value=value: client.details[SETTINGS][name] == str(value), name)
         assert client.diagnostics[SETTINGS] == f"since the answer to step {STATES.step} of run {RUN}"
         assert client.set_parameters(**{name: getattr(start, name)}) == [""]
-    assert field_bytes(client.ask(STATES, RUN)) == answer_of(start)
+    assert record_bytes(client.ask(STATES, RUN)) == record_bytes(expected_contacts(start))
     assert "settings changed after the answer to step 5 of run 41: contacts_per_pair: 8 -> 2" in service.log_text()
 
 
 def test_answers_and_registries_say_what_they_were_made_with(stage: StageWithClients) -> None:
     """A registry with the changed settings comes before the first answer with them, and none without such a change."""
-    stage.start("collision_node", threads=1, lookahead=0.01)
-    client = stage.client()
-    client.await_service()
-    tell_all(client)
+    _, client = stage.served(lookahead=0.01)
+    tell_all(client, RUN)
     assert client.ask(STATES, RUN).lookahead == 0.01
     assert client.ask(STATES._replace(positions=STATES.positions * np.nan), RUN).lookahead == 0.01, "of a refusal"
     for change in ({"lookahead": 0.02}, {"max_work": 9}, {"threads": 2}, {"contacts_per_pair": 5}):
@@ -149,10 +113,8 @@ def test_answers_and_registries_say_what_they_were_made_with(stage: StageWithCli
 
 
 def test_invalid_parameter_changes_are_rejected_with_an_explanation(stage: StageWithClients) -> None:
-    stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
-    tell_all(client)
+    _, client = stage.served()
+    tell_all(client, RUN)
     for change, words in (
         ({"method": "guessed"}, "method: 'guessed' is not one of exact, glondu2014"),
         ({"contacts_per_pair": 0}, "contacts_per_pair"),
@@ -162,7 +124,7 @@ def test_invalid_parameter_changes_are_rejected_with_an_explanation(stage: Stage
     ):
         (reason,) = client.set_parameters(**change)
         assert words in reason, reason
-    assert field_bytes(client.ask(STATES, RUN)) == answer_of(Settings(threads=1))
+    assert record_bytes(client.ask(STATES, RUN)) == record_bytes(expected_contacts(Settings(threads=1)))
 
 
 def test_a_misspelt_parameter_is_named(stage: StageWithClients, tmp_path: Path) -> None:
@@ -185,12 +147,10 @@ def test_a_misspelt_parameter_is_named(stage: StageWithClients, tmp_path: Path) 
 
 
 def test_limits_are_parameters(stage: StageWithClients) -> None:
-    stage.start("collision_node", threads=1, max_bodies=2, max_fragments=6, max_message_bytes=30_000)
-    client = stage.client()
-    client.await_service()
-    tell_all(client)
-    good = field_bytes(client.ask(STATES, RUN))
-    another = breakable_body()._replace(body_id=9, fragment_id=90)
+    _, client = stage.served(max_bodies=2, max_fragments=6, max_message_bytes=30_000)
+    tell_all(client, RUN)
+    good = record_bytes(client.ask(STATES, RUN))
+    another = BAR._replace(body_id=9, fragment_id=90)
     for change, words in (
         ({}, "2 bodies"), ({"max_bodies": 9}, "6 fragments"), ({"max_fragments": 99, "max_nodes": 20}, "but max_nodes")
     ):  # fmt: skip
@@ -199,7 +159,7 @@ def test_limits_are_parameters(stage: StageWithClients) -> None:
         client.await_refusal("bodies: limit_exceeded", words)
     client.publish("bodies", another._replace(vertices=np.zeros(3_750)), RUN)
     client.await_refusal("bodies: limit_exceeded", "max_message_bytes, 30000")
-    assert field_bytes(client.ask(STATES, RUN)) == good
+    assert record_bytes(client.ask(STATES, RUN)) == good
 
 
 # --- names, clocks, diagnostics ----------------------------------------------------------------------------------
@@ -208,14 +168,11 @@ def test_limits_are_parameters(stage: StageWithClients) -> None:
 def test_two_services_in_two_namespaces(stage: StageWithClients) -> None:
     clients = {}
     for side in ("left", "right"):
-        stage.start("collision_node", "-r", f"__ns:=/{side}", threads=1)
-        clients[side] = stage.client("-r", f"__ns:=/{side}")
-    for client in clients.values():
-        client.await_service()
+        _, clients[side] = stage.served("-r", f"__ns:=/{side}")
     tell_all(clients["left"], RUN)
     tell_two_boxes(clients["right"], RUN)
     for _ in range(3):
-        assert field_bytes(clients["left"].ask(STATES, RUN)) == field_bytes(expected_contacts())
+        assert record_bytes(clients["left"].ask(STATES, RUN)) == record_bytes(expected_contacts())
         assert clients["right"].ask(TWO_BOXES, RUN).fragment_b.tolist() == [2]
     # /diagnostics is shared, so the two status names must differ.
     names = {f"{side}/{ANSWERS}" for side in clients}
@@ -226,30 +183,25 @@ def test_remapped_topics(stage: StageWithClients) -> None:
     renamed = []
     for name in ("bodies", "fracture_events", "fragment_states", "contact_constraints", "fragments"):
         renamed += ["-r", f"{name}:=/cell/{name}_of_the_cell"]
-    stage.start("collision_node", *renamed, threads=1)
-    client, stranger = stage.client(*renamed), stage.client()
-    client.await_service()
-    tell_all(client)
-    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(expected_contacts())
+    _, client = stage.served(*renamed)
+    stranger = stage.client()
+    tell_all(client, RUN)
+    assert record_bytes(client.ask(STATES, RUN)) == record_bytes(expected_contacts())
     assert client.await_registry(RUN, 2).fragment_ids.tolist() == [2, 10, 12, 13]
     assert stranger.node.count_subscribers("fragment_states") == 0
 
 
 def test_the_service_answers_while_simulation_time_stands_still(stage: StageWithClients) -> None:
-    stage.start("collision_node", threads=1, use_sim_time=True)
-    client = stage.client()
-    client.await_service()
-    tell_all(client)
-    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(expected_contacts())
+    _, client = stage.served(use_sim_time=True)
+    tell_all(client, RUN)
+    assert record_bytes(client.ask(STATES, RUN)) == record_bytes(expected_contacts())
     client.diagnostics_came.clear()
     client.spin_until(lambda: len(client.diagnostics_came) >= 3, "diagnostics without a /clock")
 
 
 def test_diagnostics_are_published_every_second_with_times(stage: StageWithClients) -> None:
-    stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
-    tell_all(client)
+    _, client = stage.served()
+    tell_all(client, RUN)
     for _ in range(5):
         client.ask(STATES, RUN)
     client.diagnostics_came.clear()
@@ -262,10 +214,8 @@ def test_diagnostics_are_published_every_second_with_times(stage: StageWithClien
 
 
 def test_a_thousand_rejections_are_a_few_log_lines(stage: StageWithClients) -> None:
-    service = stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
-    tell_all(client)
+    service, client = stage.served()
+    tell_all(client, RUN)
     client.ask(STATES, RUN)
     started = time.monotonic()
     for sequence in range(100, 1100):

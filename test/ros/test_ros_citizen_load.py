@@ -29,9 +29,7 @@ def moved(step: int) -> FragmentStates:
 
 
 def service_with_two_balls(stage: StageWithClients) -> ServiceClient:
-    stage.start("collision_node", threads=1, method="glondu2014")
-    client = stage.client()
-    client.await_service()
+    _, client = stage.served(method="glondu2014")
     mesh = ball(0.5, 0.06)
     for number in (1, 2):
         body = CollisionBody(number, number, vertices=mesh.vertices.ravel(), tetrahedra=mesh.tetrahedra.ravel())

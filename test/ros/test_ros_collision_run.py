@@ -6,97 +6,31 @@ import numpy as np
 import pytest
 from fracture_collision.msg import CollisionBody as CollisionBodyMessage
 from fracture_collision.msg import FractureEvent as FractureEventMessage
+from worlds.broken_bar import BAR, GROUND, STATES, expected_contacts
+from worlds.gate_world import FIRST, SECOND, SETTINGS, record_bytes
 
-from fracture_collision.geometry.generators import brick
-from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.records import (
     SPHERE,
     CollisionBody,
-    ContactConstraintArray,
-    FractureEvent,
     FragmentStates,
     SolidPrimitive,
 )
 from fracture_collision.ros.service import collision_run
-from fracture_collision.ros.service.collision_node import is_time_for_log
 from fracture_collision.ros.service.collision_run import CollisionRun
 from fracture_collision.ros.wire.cdr_records import place_in_log, serialize_record
 from fracture_collision.ros.wire.conversion import heading
-from fracture_collision.world import CollisionWorld, InvalidMessage, Settings, StatesAhead
-
-SETTINGS = Settings(threads=1)
-
-
-def breakable_body() -> CollisionBody:
-    mesh = brick((1.0, 0.5, 0.5), 0.25)
-    return CollisionBody(1, 1, vertices=mesh.vertices.ravel(), tetrahedra=mesh.tetrahedra.ravel())
-
-
-def ground() -> CollisionBody:
-    return CollisionBody(2, 2, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True)
-
-
-def cut(sequence: int, fragment_id: int, new_ids: tuple[int, int], offset: float, above: float) -> FractureEvent:
-    """Splits the nodes of the fragment at x > `above` by the plane x = offset."""
-    mesh = brick((1.0, 0.5, 0.5), 0.25)
-    x = mesh.vertices[:, 0]
-    nodes = np.flatnonzero(x > above)
-    edges = unique_edges(mesh.tetrahedra)
-    edges = edges[(x[edges] > above).all(axis=1)]
-    beyond = x > offset
-    edges = edges[beyond[edges[:, 0]] != beyond[edges[:, 1]]]
-    towards = np.where(beyond[edges[:, 1]], 1.0, -1.0)
-    planes = np.column_stack([towards, np.zeros((len(edges), 2)), towards * offset])
-    parts = beyond[nodes].astype(np.int64)
-    return FractureEvent(sequence, 1, fragment_id, np.array(new_ids), nodes, parts, edges.ravel(), planes.ravel())
-
-
-FIRST, SECOND = cut(1, 1, (10, 11), 0.1, above=-np.inf), cut(2, 11, (12, 13), 0.3, above=0.1)
-STATES = FragmentStates(
-    5, 2, np.array([2, 10, 12, 13]), np.tile([0.0, 0.0, 0.24], 4) * np.repeat([0.0, 1.0, 1.0, 1.0], 3),
-    np.tile([0.0, 0.0, 0.0, 1.0], 4),
-)  # fmt: skip
-
-
-def expected_contacts() -> ContactConstraintArray:
-    world = CollisionWorld(SETTINGS)
-    world.add_body(breakable_body())
-    world.add_body(ground())
-    world.add_fracture(FIRST)
-    world.add_fracture(SECOND)
-    contacts = world.contacts(STATES)
-    assert len(contacts.gaps) > 0
-    return contacts
-
-
-def field_bytes(record: ContactConstraintArray) -> list[bytes]:
-    return [np.asarray(value).tobytes() for value in record]
-
-
-def test_events_may_precede_their_body_and_states_both() -> None:
-    run = CollisionRun(1, SETTINGS)
-    assert run.answer(STATES) is None
-    for event in (FIRST, SECOND):
-        (refusal,) = run.add_fracture(event)
-        assert refusal.kind == "unknown_id" and "body_id" in refusal.reason
-    assert run.held_event_count == 2
-    assert run.answer(STATES) is None
-    assert run.add_body(ground()) == []
-    assert run.answer(STATES) is None
-    assert run.add_body(breakable_body()) == []
-    assert (run.held_event_count, run.event_count) == (0, 2)
-    assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
+from fracture_collision.world import CollisionWorld, InvalidMessage, StatesAhead
 
 
 def test_an_event_of_an_unknown_body_blocks_nothing() -> None:
     run = CollisionRun(1, SETTINGS)
-    run.add_body(breakable_body())
-    run.add_body(ground())
+    run.add_body(BAR)
+    run.add_body(GROUND)
     assert run.add_fracture(FIRST._replace(body_id=77))
     assert run.add_fracture(FIRST) == []
     assert run.add_fracture(SECOND) == []
     assert (run.held_event_count, run.event_count) == (0, 2)
-    assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
+    assert record_bytes(run.answer(STATES)) == record_bytes(expected_contacts())
     # Nor does an event with a sequence number that was applied before.
     (refusal,) = run.add_fracture(SECOND._replace(sequence=1, body_id=77))
     assert refusal.kind == "sequence_repeat" and run.held_event_count == 0
@@ -104,7 +38,7 @@ def test_an_event_of_an_unknown_body_blocks_nothing() -> None:
 
 def test_events_after_one_whose_body_is_missing_are_held_and_reported() -> None:
     run = CollisionRun(1, SETTINGS)
-    run.add_body(breakable_body())
+    run.add_body(BAR)
     run.add_fracture(FIRST._replace(body_id=77))
     (refusal,) = run.add_fracture(SECOND)
     assert refusal.kind == "sequence_gap"
@@ -114,14 +48,6 @@ def test_events_after_one_whose_body_is_missing_are_held_and_reported() -> None:
     assert (run.held_event_count, run.event_count) == (0, 2)
 
 
-def test_held_messages_are_limited_in_number(monkeypatch) -> None:
-    monkeypatch.setattr(collision_run, "MAX_HELD_EVENTS", 2)
-    run = CollisionRun(1, SETTINGS)
-    kinds = [run.add_fracture(FIRST._replace(sequence=k))[0].kind for k in (1, 2, 3)]
-    assert kinds == ["unknown_id", "unknown_id", "limit_exceeded"]
-    assert run.held_event_count == 2
-
-
 def test_held_messages_are_limited_in_bytes(monkeypatch) -> None:
     size = sum(np.asarray(field).nbytes for field in FIRST)
     monkeypatch.setattr(collision_run, "MAX_HELD_BYTES", 2 * size + size // 2)
@@ -129,7 +55,7 @@ def test_held_messages_are_limited_in_bytes(monkeypatch) -> None:
     kinds = [run.add_fracture(FIRST._replace(sequence=k))[0].kind for k in (1, 2, 2, 3)]
     assert kinds == ["unknown_id", "unknown_id", "unknown_id", "limit_exceeded"]
     assert run.held_event_count == 2
-    run.add_body(breakable_body())  # the held events are applied, which frees their bytes
+    run.add_body(BAR)  # the held events are applied, which frees their bytes
     assert run.held_event_count == 0
     assert run.add_fracture(FIRST._replace(sequence=9, body_id=77))[0].kind == "unknown_id"
 
@@ -139,7 +65,7 @@ BAD = FIRST._replace(nodes=FIRST.nodes[1:])
 
 def ready_run() -> CollisionRun:
     run = CollisionRun(1, SETTINGS)
-    assert run.add_body(breakable_body()) == [] and run.add_body(ground()) == []
+    assert run.add_body(BAR) == [] and run.add_body(GROUND) == []
     return run
 
 
@@ -165,10 +91,10 @@ def test_states_that_need_a_rejected_event_are_rejected_until_it_is_corrected() 
     assert again.kind == "size_mismatch" and words in rejection(run)
     assert run.add_fracture(FIRST) == []
     assert (run.held_event_count, run.event_count, run.rejected_event) == (0, 2, "")
-    assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
+    assert record_bytes(run.answer(STATES)) == record_bytes(expected_contacts())
     (repeat,) = run.add_fracture(BAD)  # the latched topic still holds it
     assert repeat.kind == "size_mismatch" and run.rejected_event == ""
-    assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
+    assert record_bytes(run.answer(STATES)) == record_bytes(expected_contacts())
 
 
 def test_states_before_a_rejected_event_are_answered() -> None:
@@ -184,11 +110,11 @@ def test_states_before_a_rejected_event_are_answered() -> None:
 def test_events_after_one_that_is_rejected_late_are_kept() -> None:
     """An event waits for its body and is rejected when the body arrives; the later events stay held."""
     run = CollisionRun(1, SETTINGS)
-    run.add_body(ground())
+    run.add_body(GROUND)
     run.add_fracture(BAD)
     run.add_fracture(SECOND)
     assert "event 1 waits for body 1" in run.add_fracture(SECOND)[0].reason
-    (refusal,) = run.add_body(breakable_body())
+    (refusal,) = run.add_body(BAR)
     assert refusal.kind == "size_mismatch" and run.held_event_count == 1
     assert "event 1 was rejected" in rejection(run)
     assert run.add_fracture(FIRST) == [] and run.event_count == 2
@@ -200,7 +126,7 @@ def test_an_undecodable_event_is_known_by_its_sequence() -> None:
         place = place_in_log(bytes(damaged), FractureEventMessage)
         assert (place.run_id, place.record.sequence) == (7, 2)
     assert place_in_log(bytes(data[:20]), FractureEventMessage) is None
-    body = serialize_record(ground()._replace(sequence=9), heading(1.5), 7)
+    body = serialize_record(GROUND._replace(sequence=9), heading(1.5), 7)
     place = place_in_log(body[:200], CollisionBodyMessage)
     assert (place.run_id, place.record.sequence) == (7, 9)
     assert place_in_log(b"not plain CDR at all", CollisionBodyMessage) is None
@@ -210,7 +136,7 @@ def test_an_undecodable_event_is_known_by_its_sequence() -> None:
     assert run.add_fracture(FIRST) == []
     assert "event 2 was rejected: too long" in rejection(run)
     assert run.add_fracture(SECOND) == []
-    assert field_bytes(run.answer(STATES)) == field_bytes(expected_contacts())
+    assert record_bytes(run.answer(STATES)) == record_bytes(expected_contacts())
 
 
 def test_events_beyond_the_limit_are_requested_again_when_due(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,16 +177,11 @@ def test_the_reason_for_held_states_is_reported() -> None:
     assert "event 1 has not arrived" in run.what_states_wait_for()
     run.add_fracture(FIRST)
     assert "event 1 waits for body 1, which has not arrived" in run.what_states_wait_for()
-    assert run.add_body(breakable_body()._replace(density=-1.0))
+    assert run.add_body(BAR._replace(density=-1.0))
     assert "event 1 waits for body 1, which was rejected: density" in run.what_states_wait_for()
-    run.add_body(breakable_body())
+    run.add_body(BAR)
     run.add_fracture(SECOND)
     assert run.answer(STATES) is None
     assert run.what_states_wait_for() == "no body or event has arrived that makes fragment 2"
-    run.add_body(ground()._replace(friction=-1.0))
+    run.add_body(GROUND._replace(friction=-1.0))
     assert run.what_states_wait_for().startswith("no fragment 2 is known, as body 2 was rejected: friction")
-
-
-def test_bodies_and_events_are_requested_again_without_end() -> None:
-    due = [second for second in range(1000) if is_time_for_log(second)]
-    assert due == [1, 2, 4, 8, 16, 32, 64, *range(128, 1000, 128)]

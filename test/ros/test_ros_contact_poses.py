@@ -7,7 +7,7 @@ from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from stages.ros_stage import StageWithClients
-from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, expected_contacts, ground
+from worlds.broken_bar import STATES, expected_contacts, tell_all
 
 from fracture_collision.cdr import Heading
 from fracture_collision.records import ContactConstraintArray
@@ -75,13 +75,8 @@ def test_z_points_along_the_normal() -> None:
 
 
 def test_the_service_publishes_poses_while_there_is_a_subscriber(stage: StageWithClients) -> None:
-    stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
-    for body in (breakable_body(), ground()):
-        client.publish("bodies", body, 41)
-    for event in (FIRST, SECOND):
-        client.publish("fracture_events", event, 41)
+    _, client = stage.served()
+    tell_all(client, 41)
     client.ask(STATES, 41)  # nobody plots yet
     heard: list[PoseArray] = []
     topic = qos.CONTACT_POSES

@@ -5,44 +5,16 @@ from __future__ import annotations
 import signal
 from pathlib import Path
 
-import pytest
 from stages.ros_client import ServiceClient
 from stages.ros_stage import StageWithClients
-from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, ground
-from worlds.scene_of_length import scene_of_length
+from worlds.broken_bar import STATES, tell_all
 
-from campaigns.kills.stage import await_end, await_recording, await_step, await_that, must_end, steps_told
-from fracture_collision.bag.reader import message_counts
+from campaigns.kills.stage import await_that
 from fracture_collision.ros.wire import qos
 
 RUN = 43
 ANSWERS = "fracture_collision: answers"
 LONGEST = 1.0  # [s] on a loaded machine; a wait for a stopped process would have no end
-
-
-@pytest.mark.parametrize("victim", ["recorder", "service"])
-def test_a_killed_subscriber_takes_nothing_from_the_others(
-    stage: StageWithClients, tmp_path: Path, victim: str
-) -> None:
-    recorder = stage.start("recorder_node", folder=str(tmp_path / "living"), progress=True)
-    other = stage.start("recorder_node", folder=str(tmp_path / "killed"), progress=True)
-    service = stage.start("collision_node", threads=1)
-    scene = scene_of_length("plates", 1.0, tmp_path)  # 400 steps; the first plate breaks at 0.7 s
-    simulator = stage.start("simulator_node", scene=str(scene), wait_for_subscribers=3, progress=True)
-    await_step(simulator, 50, recorder, other, service)
-    killed = other if victim == "recorder" else service
-    killed.stop(patience=0.0, orders=(signal.SIGKILL,))
-    if victim == "service":
-        service = stage.start("collision_node", threads=1)
-    await_end(simulator, recorder, service)
-    steps = steps_told(simulator)
-    # what a service said last before it was killed may have reached the simulator only
-    may_lack = int(victim == "service")
-    await_recording(recorder, simulator, service, may_lack=may_lack)
-    for node in (simulator, recorder, service):
-        must_end(node)
-    counts = message_counts(tmp_path / "living")
-    assert counts["/fragment_states"] >= steps == 400 <= counts["/contact_constraints"] + may_lack
 
 
 def test_a_stopped_recorder_delays_no_answer_and_fails_for_what_it_missed(
@@ -96,13 +68,8 @@ def test_a_recorder_gets_the_answers_that_came_before_it(stage: StageWithClients
 
 
 def service_with_bodies(stage: StageWithClients) -> ServiceClient:
-    stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
-    for body in (breakable_body(), ground()):
-        client.publish("bodies", body, RUN)
-    for event in (FIRST, SECOND):
-        client.publish("fracture_events", event, RUN)
+    _, client = stage.served()
+    tell_all(client, RUN)
     client.ask(STATES, RUN)
     return client
 

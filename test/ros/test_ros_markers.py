@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import colorsys
 import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +13,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from stages.ros_client import ServiceClient
 from stages.ros_stage import StageWithClients
 from std_msgs.msg import ColorRGBA
-from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, ground
 from visualization_msgs.msg import Marker, MarkerArray
+from worlds.broken_bar import BAR, GROUND, STATES
+from worlds.gate_world import FIRST, SECOND
 
 from fracture_collision.cdr import Heading
 from fracture_collision.records import REMOVE, FragmentMesh, FragmentStates, refusal_of
@@ -76,7 +75,7 @@ def test_bytes_of_markers_equal_those_of_rclpy(frame: str) -> None:
 
 def one_run() -> tuple[CollisionWorld, FragmentMarkers]:
     world, markers = CollisionWorld(Settings(threads=1)), FragmentMarkers()
-    for body in (breakable_body(), ground()):
+    for body in (BAR, GROUND):
         world.add_body(body)
         markers.add_body(body)
     return world, markers
@@ -153,7 +152,7 @@ def test_only_changed_markers_are_published_again() -> None:
     assert {("fragments", 10), ("fragments", 11)} < set(by_name(shown(world, markers, broken, complete=False)))
     back = by_name(shown(world, markers, whole(5), complete=False))
     assert back["fragments", 10].action == Marker.DELETE and back["fragments", 1].action == Marker.ADD
-    world.add_body(ground()._replace(operation=REMOVE))
+    world.add_body(GROUND._replace(operation=REMOVE))
     assert by_name(shown(world, markers, whole(6), complete=False))["fragments", 2].action == Marker.DELETE
 
 
@@ -175,7 +174,7 @@ def test_contacts_are_points_and_normals_coloured_by_gap() -> None:
 def test_fragment_ids_above_the_signed_range_become_negative() -> None:
     markers = FragmentMarkers()
     highest = 2**32 - 1
-    markers.add_body(breakable_body()._replace(fragment_id=highest))
+    markers.add_body(BAR._replace(fragment_id=highest))
     markers.set_registry(np.array([highest]), np.array([1]))
     mesh = FragmentMesh(highest, np.eye(3, dtype=np.float32).ravel(), np.arange(3, dtype=np.uint32), np.zeros(1, bool))
     markers.add_surface(mesh)
@@ -183,13 +182,6 @@ def test_fragment_ids_above_the_signed_range_become_negative() -> None:
     nothing = refusal_of(states, 0.0)
     data = markers.message(Scene(Heading(0, 0, "world"), markers.poses(states), nothing), True)
     assert [each.id for each in deserialize_message(data, MarkerArray).markers if each.ns == "fragments"] == [-1]
-
-
-@pytest.fixture
-def stage(tmp_path: Path) -> Iterator[StageWithClients]:
-    made = StageWithClients(tmp_path)
-    yield made
-    made.close()
 
 
 class Viewer:
@@ -216,11 +208,9 @@ class Viewer:
 
 
 def test_viewers_get_the_complete_scene_whenever_they_join(stage: StageWithClients) -> None:
-    stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
+    _, client = stage.served()
     viewer = Viewer(client, DurabilityPolicy.VOLATILE)
-    for body in (breakable_body(), ground()):
+    for body in (BAR, GROUND):
         client.publish("bodies", body, 7)
     client.ask(whole(1), 7)
     client.spin_until(lambda: viewer.fragments() == {1, 2}, "the whole body")
@@ -232,7 +222,7 @@ def test_viewers_get_the_complete_scene_whenever_they_join(stage: StageWithClien
     client.spin_until(lambda: late.shown.keys() == viewer.shown.keys(), "all for a late one")
 
     # a new run: all markers of the first are gone
-    client.publish("bodies", breakable_body()._replace(body_id=5, fragment_id=5), 8)
+    client.publish("bodies", BAR._replace(body_id=5, fragment_id=5), 8)
     client.ask(whole(1)._replace(fragment_ids=np.array([5])), 8)
     client.spin_until(lambda: viewer.fragments() == late.fragments() == {5}, "the other run")
 
@@ -247,10 +237,8 @@ def test_viewers_get_the_complete_scene_whenever_they_join(stage: StageWithClien
 
 def test_nothing_is_published_without_subscribers(stage: StageWithClients) -> None:
     """While there is a subscriber, as many states give several messages."""
-    stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
-    for body in (breakable_body(), ground()):
+    _, client = stage.served()
+    for body in (BAR, GROUND):
         client.publish("bodies", body, 7)
 
     def ask_for_a_second(first_step: int) -> None:

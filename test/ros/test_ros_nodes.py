@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
+from stages.interrupted_loading import run_code
 from stages.ros_client import ServiceClient
-from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, expected_contacts, field_bytes, ground
+from stages.ros_stage import StageWithClients
+from worlds.broken_bar import BAR, GROUND, STATES, expected_contacts, tell_all
+from worlds.gate_world import FIRST, SECOND, record_bytes
 
 from campaigns.soak import processor_seconds
 from fracture_collision.records import BOX, INVALID_STATES, CollisionBody, SolidPrimitive
-from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id, loopback_environment
+from fracture_collision.ros.processes.node_process import NodeProcess, loopback_environment
 from fracture_collision.ros.wire.cdr_records import serialize_record
 from fracture_collision.ros.wire.conversion import heading, to_message, to_record
 
@@ -24,38 +23,21 @@ LARGEST_MESSAGE = 100_000  # [bytes]
 
 
 @pytest.fixture
-def domain_id() -> int:
-    return free_domain_id()
+def service(stage: StageWithClients) -> NodeProcess:
+    return stage.start("collision_node", threads=1, max_message_bytes=LARGEST_MESSAGE)
 
 
 @pytest.fixture
-def service(domain_id: int, tmp_path: Path) -> Iterator[NodeProcess]:
-    process = NodeProcess(
-        "collision_node", {"threads": 1, "max_message_bytes": LARGEST_MESSAGE}, domain_id, tmp_path / "service.log"
-    )
-    yield process
-    process.stop()
-
-
-@pytest.fixture
-def client(domain_id: int) -> Iterator[ServiceClient]:
-    client = ServiceClient(domain_id)
-    yield client
-    client.close()
-
-
-def tell_all(client: ServiceClient, run_id: int) -> None:
-    for body in (breakable_body(), ground()):
-        client.publish("bodies", body, run_id)
-    for event in (FIRST, SECOND):
-        client.publish("fracture_events", event, run_id)
-
-
-def test_answers_equal_those_of_the_library(service: NodeProcess, client: ServiceClient) -> None:
+def client(service: NodeProcess, stage: StageWithClients) -> ServiceClient:
+    client = stage.client()
     client.await_service()
+    return client
+
+
+def test_answers_equal_those_of_the_library(client: ServiceClient) -> None:
     tell_all(client, RUN)
     first = client.ask(STATES, RUN)
-    assert field_bytes(first) == field_bytes(to_record(to_message(expected_contacts(), heading(0.0), RUN)))
+    assert record_bytes(first) == record_bytes(to_record(to_message(expected_contacts(), heading(0.0), RUN)))
     registry = client.await_registry(RUN, 2)
     assert registry.fragment_ids.tolist() == [2, 10, 12, 13] and len(registry.digest) == 64
 
@@ -63,18 +45,17 @@ def test_answers_equal_those_of_the_library(service: NodeProcess, client: Servic
     early = STATES._replace(step=1, fracture_sequence=0, fragment_ids=np.array([1]),
                             positions=np.array([0.0, 0.0, 0.24]), orientations=np.array([0.0, 0.0, 0.0, 1.0]))
     assert client.ask(early, RUN).fragment_a.tolist() == [1]
-    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(first)
+    assert record_bytes(client.ask(STATES, RUN)) == record_bytes(first)
 
 
-def test_states_are_held_until_their_bodies_and_events_arrive(service: NodeProcess, client: ServiceClient) -> None:
-    client.await_service()
+def test_states_are_held_until_their_bodies_and_events_arrive(client: ServiceClient) -> None:
     client.publish("fragment_states", STATES, RUN)
     client.publish("fracture_events", FIRST, RUN)
     client.publish("fracture_events", SECOND, RUN)
-    client.publish("bodies", ground(), RUN)
+    client.publish("bodies", GROUND, RUN)
     client.spin_until(lambda: "are held" in client.diagnostics.get("fracture_collision: answers", ""), "a word on it")
     assert client.answers == []
-    client.publish("bodies", breakable_body(), RUN)
+    client.publish("bodies", BAR, RUN)
     client.spin_until(lambda: len(client.answers) == 1, "the answer to states that were held")
     assert client.answers[0].step == STATES.step and len(client.answers[0].gaps) > 0
 
@@ -82,9 +63,8 @@ def test_states_are_held_until_their_bodies_and_events_arrive(service: NodeProce
 def test_states_that_do_not_say_which_bodies_precede_them_are_answered_with_one_warning(
     service: NodeProcess, client: ServiceClient
 ) -> None:
-    client.await_service()
-    client.publish("bodies", ground()._replace(sequence=1), RUN)
-    client.publish("bodies", breakable_body()._replace(sequence=2), RUN)
+    client.publish("bodies", GROUND._replace(sequence=1), RUN)
+    client.publish("bodies", BAR._replace(sequence=2), RUN)
     early = STATES._replace(fracture_sequence=0, fragment_ids=np.array([1]), positions=np.array([0.0, 0.0, 0.24]))
     early = early._replace(orientations=np.array([0.0, 0.0, 0.0, 1.0]))
     assert len(client.ask(early._replace(body_sequence=2), RUN)) > 0
@@ -97,10 +77,9 @@ def test_states_that_do_not_say_which_bodies_precede_them_are_answered_with_one_
 
 
 @pytest.mark.parametrize("how", ["a field", "its size", "its bytes"])
-def test_a_rejected_event_blocks_nothing_for_ever(how: str, service: NodeProcess, client: ServiceClient) -> None:
+def test_a_rejected_event_blocks_nothing_for_ever(how: str, client: ServiceClient) -> None:
     """States that need it are rejected at once; the corrected event also applies the events that arrived meanwhile."""
-    client.await_service()
-    for body in (breakable_body(), ground()):
+    for body in (BAR, GROUND):
         client.publish("bodies", body, RUN)
     if how == "a field":
         client.publish("fracture_events", FIRST._replace(nodes=FIRST.nodes[1:]), RUN)
@@ -121,11 +100,10 @@ def test_a_rejected_event_blocks_nothing_for_ever(how: str, service: NodeProcess
     client.publish("fracture_events", FIRST, RUN)
     client.spin_until(lambda: client.diagnostics[answers] == "ready", "nothing to be awaited")
     contacts = client.ask(STATES, RUN)
-    assert field_bytes(contacts) == field_bytes(to_record(to_message(expected_contacts(), heading(0.0), RUN)))
+    assert record_bytes(contacts) == record_bytes(to_record(to_message(expected_contacts(), heading(0.0), RUN)))
 
 
-def test_a_new_run_id_is_a_new_scene(service: NodeProcess, client: ServiceClient) -> None:
-    client.await_service()
+def test_a_new_run_id_is_a_new_scene(client: ServiceClient) -> None:
     tell_all(client, RUN)
     first = client.ask(STATES, RUN)
     box = CollisionBody(1, 1, primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)))
@@ -136,11 +114,10 @@ def test_a_new_run_id_is_a_new_scene(service: NodeProcess, client: ServiceClient
     assert client.await_registry(RUN + 1, 0).fragment_ids.tolist() == [1]
     # The first run again, as when a bag is played in a loop.
     tell_all(client, RUN)
-    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(first)
+    assert record_bytes(client.ask(STATES, RUN)) == record_bytes(first)
 
 
 def test_bad_input_is_rejected_with_an_explanation(service: NodeProcess, client: ServiceClient) -> None:
-    client.await_service()
     tell_all(client, RUN)
     good = client.ask(STATES, RUN)
 
@@ -164,45 +141,22 @@ def test_bad_input_is_rejected_with_an_explanation(service: NodeProcess, client:
         client.publish_bytes("fragment_states", wrong)
         client.await_refusal(f"fragment_states: {kind}", words)
 
-    client.publish("bodies", breakable_body()._replace(body_id=9, fragment_id=90, density=-1.0), RUN)
+    client.publish("bodies", BAR._replace(body_id=9, fragment_id=90, density=-1.0), RUN)
     client.await_refusal("bodies: out_of_range", "density")
-    client.publish("bodies", breakable_body()._replace(body_id=9, fragment_id=90, vertices=np.zeros(12_501)), RUN)
+    client.publish("bodies", BAR._replace(body_id=9, fragment_id=90, vertices=np.zeros(12_501)), RUN)
     client.await_refusal("bodies: limit_exceeded", "max_message_bytes")
     client.publish("fracture_events", SECOND._replace(sequence=9), RUN)
     client.await_refusal("fracture_events: sequence_gap", "event 9 is held: event 3 has not arrived")
     client.publish("fracture_events", FIRST._replace(sequence=3, body_id=77), RUN)
     client.await_refusal("fracture_events: unknown_id", "no body 77")
 
-    assert field_bytes(client.ask(STATES, RUN)) == field_bytes(good)
+    assert record_bytes(client.ask(STATES, RUN)) == record_bytes(good)
     # at most one line per second is logged, for the first rejection in it
     assert "[collision_node]: rejected, " in service.log_text()
 
 
-def test_a_restarted_service_continues_the_run(
-    service: NodeProcess, client: ServiceClient, domain_id: int, tmp_path: Path
-) -> None:
-    client.await_service()
-    tell_all(client, RUN)
-    before = client.ask(STATES, RUN)
-    digest = client.await_registry(RUN, 2).digest
-    client.registries.clear()
-    service.send_signal(signal.SIGKILL)
-    service.wait(10.0)
-    # The first diagnostics announce the new service; the killed one's subscription may linger until its lease expires.
-    client.diagnostics.clear()
-    successor = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "successor.log")
-    try:
-        client.spin_until(lambda: client.diagnostics.get("fracture_collision: answers") == "ready", "a new service")
-        after = client.ask_until_answered(STATES, RUN)
-        assert field_bytes(after) == field_bytes(before)
-        assert client.await_registry(RUN, 2).digest == digest
-    finally:
-        successor.stop()
-
-
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 def test_nodes_end_cleanly_on_signals(service: NodeProcess, client: ServiceClient, order: signal.Signals) -> None:
-    client.await_service()
     client.spin_until(lambda: client.diagnostics.get("fracture_collision: answers") == "ready", "its first words")
     service.send_signal(order)
     assert service.wait(10.0) == 0
@@ -210,47 +164,24 @@ def test_nodes_end_cleanly_on_signals(service: NodeProcess, client: ServiceClien
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_kernels_load_ends_the_process_at_once(domain_id: int, order: signal.Signals) -> None:
-    """Sent while numba passes a kernel to LLVM: an exception there is swallowed and the kernel's address is null."""
-    code = f"""
-import os, sys
-from numba.core.codegen import CPUCodeLibrary
-hand_over = CPUCodeLibrary._object_getbuffer_hook
-kernels = []
-def interrupted(module):
-    kernels.append(module)
-    if len(kernels) == 3:
-        os.kill(os.getpid(), {int(order)})
-    return hand_over(module)
-CPUCodeLibrary._object_getbuffer_hook = interrupted
-from fracture_collision.ros.service.collision_node import main
-sys.exit(main())
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120.0, env=loopback_environment(domain_id)
-    )
+def test_a_signal_while_kernels_load_ends_the_process_at_once(stage: StageWithClients, order: signal.Signals) -> None:
+    done = run_code(
+        "from fracture_collision.ros.service.collision_node import main", "sys.exit(main())",
+        order=order, environment=loopback_environment(stage.domain_id),
+    )  # fmt: skip
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
     assert "ready" not in done.stderr
 
 
-def test_start_up_takes_little_processor_time(client: ServiceClient, domain_id: int, tmp_path: Path) -> None:
+def test_start_up_takes_little_processor_time(stage: StageWithClients) -> None:
     """With cached kernels, at most three seconds of processor time.
 
     On a busy machine wall time would include the work of other processes.
     """
+    client = stage.client()
     tell_all(client, RUN)
-    service = NodeProcess("collision_node", {"threads": 1}, domain_id, tmp_path / "service.log")
-    try:
-        client.await_service()
-        client.ask(STATES, RUN)
-        seconds = processor_seconds(service.pid)
-    finally:
-        service.stop()
+    service = stage.start("collision_node", threads=1)
+    client.await_service()
+    client.ask(STATES, RUN)
+    assert 0.0 < processor_seconds(service.pid) < 3.0
     assert "loading kernels" in service.log_text() and "ready" in service.log_text()
-    assert 0.0 < seconds < 3.0
-
-
-def test_a_parameter_out_of_range_is_rejected_with_an_explanation(domain_id: int, tmp_path: Path) -> None:
-    process = NodeProcess("collision_node", {"contacts_per_pair": 0}, domain_id, tmp_path / "service.log")
-    assert process.wait(30.0) == 1
-    assert "contacts_per_pair" in process.log_text() and "Traceback" not in process.log_text()

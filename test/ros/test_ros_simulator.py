@@ -22,9 +22,7 @@ def test_settings_that_a_simulator_does_not_expect_are_logged_once_per_change(
     module: str, stage: StageWithClients, tmp_path: Path
 ) -> None:
     """It sets the lookahead itself; here another node changes it during the run."""
-    stage.start("collision_node", threads=1)
-    client = stage.client()
-    client.await_service()
+    _, client = stage.served()
     simulator = stage.start(module, scene=str(scene_of_length("pane", 600.0, tmp_path)))
 
     def await_answers(lookahead: float, count: int) -> None:

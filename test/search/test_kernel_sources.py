@@ -34,13 +34,6 @@ def test_every_import_is_found() -> None:
         assert _imports(file) == imported_by(ast.parse(file.read_text())), file
 
 
-def test_a_kernel_knows_what_it_calls_in_other_files() -> None:
-    assert PACKAGE / "core" / "field" / "flood.py" in sources_of(PACKAGE / "core" / "pair" / "narrow_phase.py")
-    assert PACKAGE / "ros" / "wire" / "qos.py" not in sources_of(PACKAGE / "core" / "pair" / "narrow_phase.py")
-    memory = PACKAGE / "core" / "memory"
-    assert source_digest(memory / "heap.py") != source_digest(memory / "kinds.py")
-
-
 def test_an_installed_package_has_the_digests_of_its_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Numba and all others lie beside it there."""
     site = tmp_path / "site-packages"
@@ -120,48 +113,6 @@ print(json.dumps([cpu_target.target_context.codegen()._library_class is JITCodeL
 
 def test_numba_is_the_same_after_a_kernel_was_loaded(tmp_path: Path) -> None:
     assert said(BESIDE_NUMBA, tmp_path) == [True, False]
-
-
-USER = """
-import json
-import numpy as np
-from numba import njit
-from user_kernels import outer, inner, middle
-
-first = outer(np.arange(6.0))
-
-@njit
-def of_the_user(values):
-    return middle(values, 3.0) + outer(values)
-
-print(json.dumps([first, of_the_user(np.arange(6.0)), float(inner(np.arange(3.0), 2.0))]))
-"""
-
-USER_KERNELS = """
-from fracture_collision.core.memory.compiled import kernel, query_kernel
-
-@query_kernel
-def inner(values, x):
-    total = 0.0
-    for value in values:
-        total += value * x
-    return total
-
-@query_kernel
-def middle(values, x):
-    return inner(values, x) + 1.0
-
-@kernel
-def outer(values):
-    return middle(values, 2.0)
-"""
-
-
-def test_a_function_of_the_user_calls_kernels_that_were_compiled_for_others(tmp_path: Path) -> None:
-    """Compiled by the first process, loaded from the cache by the second."""
-    (tmp_path / "user_kernels.py").write_text(USER_KERNELS)
-    for _ in range(2):
-        assert said(USER, tmp_path) == [31.0, 46.0 + 31.0, 6.0]
 
 
 NEARER = "feature, source, where = e2,"  # where flood.py takes a squared distance

@@ -13,6 +13,7 @@ import pybullet
 import pybullet_data
 import pytest
 from scipy.spatial.transform import Rotation
+from worlds.served_scene import PlayedScene
 
 from fracture_collision.lockstep import Exchange, Lockstep
 from fracture_collision.share import share_directory
@@ -28,10 +29,10 @@ from fracture_collision.simulation.actors.arm import (
     require_within,
 )
 from fracture_collision.simulation.config.shapes import Shape
-from fracture_collision.simulation.live import CommandRefused, LiveScene
+from fracture_collision.simulation.live import CommandRefused
 from fracture_collision.simulation.rotations import from_euler_angles
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, parse_scene
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.world import Settings
 
 ORIGIN, UPRIGHT = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
 TOOL = PARTS[-1].name
@@ -85,21 +86,6 @@ def smashed() -> Smashed:
 # --- kinematics ------------------------------------------------------------------------------------------------------
 
 
-def test_poses_of_the_arm_equal_those_of_the_urdf(kinematics: ArmKinematics) -> None:
-    """Stretched upwards, the flange is 1.306 m above the base: the data sheet's 360 + 420 + 400 + 126 mm.
-
-    Bent by 90 degrees at joint 2, it reaches the part of that length beyond the shoulder.
-    """
-    tool = np.array(PARTS[-1].center)
-    up = kinematics.places(np.zeros(JOINTS))[0][-1]
-    np.testing.assert_allclose(up - [0.0, 0.0, tool[2]], [0.0, 0.0, 0.36 + 0.42 + 0.4 + 0.081], atol=2e-3)
-    bent, turns = kinematics.places(np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    np.testing.assert_allclose(bent[-1], [up[2] - 0.36, 0.0, 0.36], atol=2e-3)
-    np.testing.assert_allclose(np.linalg.norm(turns, axis=1), 1.0, atol=1e-12)
-    turned = kinematics.places(np.array([0.5, np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0]))[0][-1]
-    np.testing.assert_allclose(turned, [bent[-1, 0] * np.cos(0.5), bent[-1, 0] * np.sin(0.5), bent[-1, 2]], atol=1e-6)
-
-
 def test_poses_of_the_arm_equal_those_of_bullet() -> None:
     """Bullet computes in single precision."""
     position, orientation = np.array([0.1, -0.2, 0.3]), from_euler_angles(np.array([0.3, -0.4, 2.0]))
@@ -121,6 +107,8 @@ def test_poses_of_the_arm_equal_those_of_bullet() -> None:
             np.testing.assert_allclose(origins, [state[4] for state in states], atol=1e-6)
             expected = Rotation.from_quat([state[5] for state in states])
             assert (Rotation.from_quat(turns) * expected.inv()).magnitude().max() < 1e-6
+            places = [origins[part.link - 1] + expected[part.link - 1].apply(part.center) for part in MOVING]
+            np.testing.assert_allclose(ArmKinematics(position, orientation).places(angles)[0], places, atol=1e-6)
     finally:
         pybullet.disconnect(client)
 
@@ -200,14 +188,6 @@ def test_energy_rises_by_no_more_than_the_work_of_the_arm() -> None:
     assert rise.max() < 2e-5 * energy.max()
 
 
-def test_equal_runs_give_equal_bytes() -> None:
-    def states() -> list[bytes]:
-        with Lockstep(load_scene("vase")._replace(duration=1.15), Settings(threads=1)) as run:
-            return [each.states.positions.tobytes() + each.states.orientations.tobytes() for each in run]
-
-    assert states() == states()
-
-
 def test_parts_of_the_arm_do_not_push_each_other() -> None:
     """They overlap by centimetres and the service reports it; at rest no energy is spent and nothing moves."""
     what = scene([[0.0, *POSTURE]], 0.2)
@@ -240,42 +220,29 @@ def test_an_obstructed_arm_presses_with_its_force_and_waits() -> None:
 # --- commands --------------------------------------------------------------------------------------------------------
 
 
-class Played:
-    """A live scene; looks_ahead: by its time step, as `play` does."""
-
-    def __init__(self, looks_ahead: bool) -> None:
-        scene = load_scene("vase")
-        self.live = LiveScene(scene, 1, looks_ahead)
-        self._world = CollisionWorld(Settings(threads=1, lookahead=scene.time_step if looks_ahead else 0.0))
-
-    def step(self, count: int) -> tuple[list[int], np.ndarray]:
+class Played(PlayedScene):
+    def follow(self, count: int) -> tuple[list[int], np.ndarray]:
         """Number of fragments at each step, and joint angles (count, 7)."""
         fragments, angles = [], []
         for _ in range(count):
-            request = self.live.simulation.begin_step()
-            for body in request.bodies:
-                self._world.add_body(body)
-            for event in request.events:
-                self._world.add_fracture(event)
-            answer = self._world.contacts(request.states)
-            fragments.append(self.live.simulation.finish_step(answer, self._world.fragments()).fragments)
-            angles.append(self.live.simulation.arm.angles)
+            fragments.append(self.step().fragments)
+            angles.append(self.simulation.arm.angles)
         return fragments, np.array(angles)
 
 
 @pytest.fixture(params=[True, False], ids=["looking ahead", "not looking ahead"])
 def played(request: pytest.FixtureRequest) -> Iterator[Played]:
-    made = Played(request.param)
+    made = Played("vase", request.param)
     yield made
     made.live.close()
 
 
 def test_the_arm_follows_commands_within_its_limits(played: Played) -> None:
-    still = played.step(40)[1]
+    still = played.follow(40)[1]
     assert np.ptp(still, axis=0).max() == 0.0, "nobody swings but the person"
     settings, h = load_scene("vase").arm.settings, 0.0025
     played.live.command_joints(["lbr_iiwa_joint_1", "lbr_iiwa_joint_4"], [-2.0, -1.0])
-    angles = np.vstack((still[-1:], played.step(400)[1]))
+    angles = np.vstack((still[-1:], played.follow(400)[1]))
     goal = still[-1].copy()
     goal[[0, 3]] = -2.0, -1.0
     np.testing.assert_allclose(angles[-1], goal, atol=1e-9)
@@ -288,12 +255,12 @@ def test_the_arm_follows_commands_within_its_limits(played: Played) -> None:
 
 
 def test_joint_commands_break_the_vase(played: Played) -> None:
-    whole = played.step(10)[0][-1]
+    whole = played.follow(10)[0][-1]
     arm = played.live.simulation.arm
     played.live.command_joints([], np.radians([-60.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0]))
-    assert set(played.step(200)[0]) == {whole}
+    assert set(played.follow(200)[0]) == {whole}
     played.live.command_joints([arm.limits.names[0]], [1.0])
-    assert played.step(250)[0][-1] > whole + 10
+    assert played.follow(250)[0][-1] > whole + 10
 
 
 @pytest.mark.parametrize(
@@ -308,17 +275,10 @@ def test_joint_commands_break_the_vase(played: Played) -> None:
     ],
 )
 def test_invalid_arguments_are_rejected_with_an_explanation(played: Played, names, positions, words: str) -> None:
-    before = played.step(2)[1][-1]
+    before = played.follow(2)[1][-1]
     with pytest.raises(CommandRefused, match=words):
         played.live.command_joints(names, positions)
-    assert np.array_equal(played.step(5)[1][-1], before)
-
-
-def test_commands_to_a_scene_without_an_arm_are_rejected() -> None:
-    live = LiveScene(load_scene("pane"), 1)
-    with pytest.raises(CommandRefused, match="the scene has no arm"):
-        live.command_joints([], [0.0] * JOINTS)
-    live.close()
+    assert np.array_equal(played.follow(5)[1][-1], before)
 
 
 def row(time: float = 0.0, **angles: float) -> list[float]:

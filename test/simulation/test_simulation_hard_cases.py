@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
+from worlds.small_scenes import ball, box, brick, small_scene
 
 from fracture_collision.bag.reader import recorded_settings
 from fracture_collision.cli.bags import record
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import FragmentRegistry, FragmentStates
-from fracture_collision.simulation.scene.scene import Scene, load_scene, parse_scene
+from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.world import Settings
 
 # Solved exactly, the velocity problem gains no energy in a step: dE <= -|du|^2_M / 2 (contact_solver). The solver goes
@@ -108,26 +109,12 @@ LONG = pytest.param(10.0, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])
 quick_and_slow = pytest.mark.parametrize("duration", [1.5, LONG])
 
 
-def make_scene(bodies, materials, gravity=9.81, seed=1):
-    content = {
-        "seed": seed, "gravity": [0.0, 0.0, -gravity], "time_step": 0.0025, "duration": 1.0,
-        "materials": {"ground": {"density": 1000.0, "friction": 0.6}, **materials},
-        "bodies": [
-            {"name": "ground", "material": "ground", "static": True,
-             "shape": {"box": {"size": [4.0, 4.0, 1.0]}}, "position": [0.0, 0.0, -0.5]},
-            *bodies,
-        ],
-    }  # fmt: skip
-    return parse_scene(content, "hard case")
-
-
-def brick(name, material, size, edge_length, **more):
-    return {
-        "name": name, "material": material, "shape": {"brick": {"size_xyz": size, "edge_length": edge_length}}, **more
-    }  # fmt: skip
-
-
 CLAY = {"density": 2000.0, "friction": 0.6}
+FLOOR = box("ground", [4.0, 4.0, 1.0], [0.0, 0.0, -0.5], static=True)
+
+
+def make_scene(*bodies, **more):
+    return small_scene(CLAY, FLOOR, *bodies, **more)
 
 
 def stack(count: int, askew: float = 1.0):
@@ -135,13 +122,21 @@ def stack(count: int, askew: float = 1.0):
     random = np.random.default_rng(0)
     bricks = [
         brick(
-            f"brick {i}", "clay", [0.2, 0.1, 0.06], 0.05,
-            position=[*(askew * random.uniform(-0.005, 0.005, 2)).tolist(), 0.0302 + 0.0602 * i],
+            f"brick {i}", [0.2, 0.1, 0.06], 0.05,
+            [*(askew * random.uniform(-0.005, 0.005, 2)).tolist(), 0.0302 + 0.0602 * i],
             rotation=[0.0, 0.0, float(askew * random.uniform(-5.0, 5.0))],
         )
         for i in range(count)
     ]  # fmt: skip
-    return make_scene(bricks, {"clay": CLAY})
+    return make_scene(*bricks)
+
+
+def assert_stands(track: Track, sinks: float, settles: float) -> None:
+    """It sinks by no more than `sinks` [m], and moves by no more than `settles` [m], both before one second is over."""
+    assert track.displacement(since=400) < 1e-5
+    assert track.displacement() < settles
+    assert track.gap.min() > -sinks
+    assert track.gap[400:].min() > -1e-6
 
 
 @quick_and_slow
@@ -153,10 +148,7 @@ def test_a_stack_of_ten_bricks_stands(duration, askew):
     moves faster than 1 um/s.
     """
     track = run(stack(10, askew), duration)
-    assert track.displacement(since=400) < 1e-5
-    assert track.displacement() < 2.5e-3
-    assert track.gap.min() > -2e-4
-    assert track.gap[400:].min() > -1e-6
+    assert_stands(track, 2e-4, 2.5e-3)
     assert track.speed[-1] < 1e-6
 
 
@@ -165,10 +157,7 @@ def test_a_wall_of_32_bricks_stands(duration):
     """As the stack, but where it lands: seven courses at once, up to 0.4 % R deep (R of a whole brick)."""
     track = run(load_scene("wall"), duration)
     assert len(track.states[0].fragment_ids) == 32
-    assert track.displacement(since=400) < 1e-5
-    assert track.displacement() < 2.5e-3
-    assert track.gap.min() > -4e-4
-    assert track.gap[400:].min() > -1e-6
+    assert_stands(track, 4e-4, 2.5e-3)
     assert track.speed[-1] < 1e-6
 
 
@@ -184,16 +173,15 @@ def test_a_heavy_brick_on_a_light_one(duration, ratio):
     below, above = ("light", "heavy") if ratio > 1.0 else ("heavy", "light")
     # As high as it must be to weigh 1000 times as much at 1000 times the density.
     bricks = [
-        brick("below", below, [0.2, 0.2, 0.1], 0.05, position=[0.0, 0.0, 0.0502]),
-        brick("above", above, [0.16, 0.16, 0.15625], 0.05, position=[0.01, 0.0, 0.178525], rotation=[0.0, 0.0, 5.0]),
+        brick("below", [0.2, 0.2, 0.1], 0.05, [0.0, 0.0, 0.0502], material=below),
+        brick(
+            "above", [0.16, 0.16, 0.15625], 0.05, [0.01, 0.0, 0.178525], rotation=[0.0, 0.0, 5.0], material=above
+        ),
     ]
-    track = run(make_scene(bricks, {"light": light, "heavy": heavy}), duration)
+    track = run(make_scene(*bricks, materials={"light": light, "heavy": heavy}), duration)
     masses = track.registry.masses[1:]
     assert masses[1] / masses[0] == pytest.approx(ratio)
-    assert track.gap.min() > -3e-4
-    assert track.gap[400:].min() > -1e-6
-    assert track.displacement(since=400) < 1e-5
-    assert track.displacement() < 1e-3
+    assert_stands(track, 3e-4, 1e-3)
 
 
 @quick_and_slow
@@ -204,14 +192,10 @@ def test_a_heavy_brick_flush_on_a_light_one(duration):
     """
     clay = {name: {**CLAY, "density": density} for name, density in (("light", 20.0), ("heavy", 20000.0))}
     bricks = [
-        brick(name, name, [0.2, 0.2, 0.1], 0.05, position=[0.0, 0.0, height])
+        brick(name, [0.2, 0.2, 0.1], 0.05, [0.0, 0.0, height], material=name)
         for name, height in (("light", 0.0502), ("heavy", 0.1504))
     ]
-    track = run(make_scene(bricks, clay), duration, lift=DRIFT_LIFT_TUMBLING)
-    assert track.gap.min() > -3.5e-4
-    assert track.gap[400:].min() > -1e-6
-    assert track.displacement(since=400) < 1e-5
-    assert track.displacement() < 1e-3
+    assert_stands(run(make_scene(*bricks, materials=clay), duration, lift=DRIFT_LIFT_TUMBLING), 3.5e-4, 1e-3)
 
 
 def breakable(shape, seed, curvature, friction, gravity, height):
@@ -221,8 +205,8 @@ def breakable(shape, seed, curvature, friction, gravity, height):
         "density": 2400.0, "friction": friction,
         "fracture": {"strength": 1e9, "minimum_mass": 0.0, "pattern": pattern},
     }  # fmt: skip
-    body = {"name": "body", "material": "stone", "shape": shape, "position": [0.0, 0.0, height + 1e-6]}
-    return make_scene([body], {"stone": stone}, gravity, seed)
+    body = {"name": "body", "material": "breakable", "shape": shape, "position": [0.0, 0.0, height + 1e-6]}
+    return make_scene(body, materials={"breakable": stone}, gravity=gravity, seed=seed)
 
 
 BALL = {"ball": {"radius": 0.1, "edge_length": 0.025}}
@@ -314,12 +298,13 @@ def test_bricks_that_bounce_gain_no_energy(restitution):
     """Five tumble onto the ground and each other from up to half a metre; energy as asserted in `run`."""
     bricks = [
         brick(
-            f"brick {i}", "clay", [0.2, 0.1, 0.06], 0.05, position=[0.02 * i, 0.0, 0.15 + 0.12 * i],
+            f"brick {i}", [0.2, 0.1, 0.06], 0.05, [0.02 * i, 0.0, 0.15 + 0.12 * i], material="lively",
             rotation=[20.0 * i, 10.0, 0.0], angular_velocity=[0.0, 3.0, 1.0],
         )
         for i in range(5)
     ]  # fmt: skip
-    track = run(make_scene(bricks, {"clay": {**CLAY, "restitution": restitution}}), 1.5, lift=DRIFT_LIFT_TUMBLING)
+    lively = {**CLAY, "restitution": restitution}
+    track = run(make_scene(*bricks, materials={"lively": lively}), 1.5, lift=DRIFT_LIFT_TUMBLING)
     assert track.energy[-1] < 0.5 * track.energy[0]
 
 
@@ -338,38 +323,14 @@ def test_only_moving_breakable_bodies_can_be_struck():
             lockstep.simulation.strike(2, np.zeros(3), 1.0)
 
 
-BAR = {"brick": {"size_xyz": [0.2, 0.02, 0.02], "edge_length": 0.2}}  # one cell
-ACROSS = {"brick": {"size_xyz": [0.02, 0.2, 0.02], "edge_length": 0.2}}
-
-
-def scene_of(bodies: list[dict], duration: float) -> Scene:
-    wood = {"density": 700.0, "friction": 0.5}
-    content = {"time_step": 0.0025, "duration": duration, "materials": {"wood": wood}}
-    return parse_scene(content | {"bodies": [{"material": "wood", **body} for body in bodies]}, "first")
-
-
-def crossed_bars() -> Scene:
-    """A bar falls across another that is fixed."""
-    return scene_of(
-        [
-            {"name": "fixed", "static": True, "shape": BAR, "position": [0.0, 0.0, 0.0]},
-            {"name": "across", "shape": ACROSS, "position": [0.0, 0.0, 0.05]},
-        ], duration=0.5,
-    )  # fmt: skip
-
-
-def test_crossed_bars_of_one_cell_do_not_pass_through_each_other() -> None:
-    with Lockstep(crossed_bars()) as run:
-        heights = [exchange.states.positions.reshape(-1, 3)[exchange.states.fragment_ids == 2, 2] for exchange in run]
-    assert min(np.concatenate(heights)) > 0.0198
-    assert abs(heights[-1][0] - 0.02) < 1e-4, "it rests"
+WOOD = {"density": 700.0, "friction": 0.5}
 
 
 @pytest.mark.parametrize("speed", [50.0, 200.0])
 def test_a_fast_ball_does_not_pass_through_a_pane(speed: float) -> None:
-    pane = {"name": "pane", "static": True, "shape": {"box": {"size": [0.5, 0.5, 0.004]}}}
-    ball = {"name": "ball", "shape": {"sphere": {"radius": 0.01}}, "position": [0.013, 0.0, 0.3]}
-    with Lockstep(scene_of([pane, ball | {"linear_velocity": [0.0, 0.0, -speed]}], duration=0.05)) as run:
+    pane = box("pane", [0.5, 0.5, 0.004], static=True)
+    fast = ball("ball", 0.01, [0.013, 0.0, 0.3], linear_velocity=[0.0, 0.0, -speed])
+    with Lockstep(small_scene(WOOD, pane, fast, duration=0.05)) as run:
         heights = [exchange.states.positions.reshape(-1, 3)[-1, 2] for exchange in run]
     assert min(heights) > 0.0
 

@@ -6,42 +6,16 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from worlds.served_scene import PlayedScene
 
 from fracture_collision.records import ADD, REMOVE
-from fracture_collision.simulation.live import MOST_BALLS, Ball, CommandRefused, LiveScene
-from fracture_collision.simulation.scene.scene import load_scene
-from fracture_collision.simulation.simulation import StepReport, StepRequest
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.simulation.live import MOST_BALLS, Ball, CommandRefused
 
 PLATE = np.array([-0.45, 0.0, 0.7227])
 STILL = np.zeros(3)
 
 
-class Run:
-    """Simulator and service of a live scene, in one process; looks_ahead: by the scene's time step, as `play` does."""
-
-    def __init__(self, scene: str = "plates", looks_ahead: bool = True) -> None:
-        parsed = load_scene(scene)
-        self.live = LiveScene(parsed, 7, looks_ahead)
-        self.world = CollisionWorld(Settings(lookahead=parsed.time_step if looks_ahead else 0.0))
-        self.requests: list[StepRequest] = []
-
-    def step(self, count: int = 1) -> StepReport:
-        simulation = self.live.simulation
-        for _ in range(count):
-            self.requests.append(simulation.begin_step())
-            for body in self.requests[-1].bodies:
-                self.world.add_body(body)
-            for event in self.requests[-1].events:
-                self.world.add_fracture(event)
-            contacts = self.world.contacts(self.requests[-1].states)
-            report = simulation.finish_step(contacts, self.world.fragments())
-        return report
-
-    def place(self, fragment_id: int) -> np.ndarray:
-        states = self.requests[-1].states
-        return states.positions.reshape(-1, 3)[list(states.fragment_ids).index(fragment_id)]
-
+class Run(PlayedScene):
     def announced(self, operation: int) -> list[int]:
         return [body.body_id for request in self.requests for body in request.bodies if body.operation == operation]
 
@@ -89,33 +63,6 @@ def test_a_hand_keeps_a_piece_of_a_body_that_breaks(run: Run) -> None:
     assert run.live.simulation.drag.held == held and run.place(held)[2] > lifted[2] + 0.1
     run.live.drag(0, STILL, STILL)
     assert run.live.simulation.drag.held is None
-
-
-def dragged(run: Run, seconds: float, rate: float) -> np.ndarray:
-    """How far [m] the first plate is from a hand that moved 0.4 m for so many seconds of a user, at this pace."""
-    run.step(5)
-    messages = round(seconds / 0.05)
-    for k in range(messages + 1):
-        target = PLATE + np.array([0.0, -0.3, 0.3]) * k / messages
-        run.live.drag(5, STILL, target)
-        run.step(max(1, round(0.05 * rate / 0.0025)))
-    return run.place(5) - target
-
-
-@pytest.mark.parametrize("rate", [1.0, 0.1])
-def test_a_hand_is_as_close_to_its_user_in_a_slow_scene(run: Run, rate: float) -> None:
-    run.live.keep_pace(rate)
-    assert np.linalg.norm(dragged(run, 1.0, rate)) < 0.05
-    run.step(round(0.5 * rate / 0.0025))  # half a second of the user, without another message
-    before = run.place(5)
-    run.live.drag(0, STILL, STILL)
-    run.step(20)
-    fall = 0.5 * 9.81 * 0.05**2
-    assert np.linalg.norm(run.place(5) - before - [0.0, 0.0, -fall]) < 0.015, "it does not fly away"
-
-
-def test_a_hand_at_its_own_pace_lags_in_a_slow_scene(run: Run) -> None:
-    assert np.linalg.norm(dragged(run, 1.0, 0.1)) > 0.2, "why keep_pace is there"
 
 
 def test_another_grip_takes_hold_anew(run: Run) -> None:

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from worlds.small_scenes import GROUND, box, small_scene
 
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.config.scene_fields import Fields
 from fracture_collision.simulation.config.shapes import parse_shape
-from fracture_collision.simulation.scene.scene import EARTH, Scene, parse_scene
-from fracture_collision.simulation.solver.contact_solver import SolverSettings, bounce_speeds
-from fracture_collision.simulation.solver.sleep import farthest_at_rest
+from fracture_collision.simulation.scene.scene import Scene
+from fracture_collision.simulation.solver.contact_solver import SolverSettings
 from fracture_collision.world import Settings
 
 SIZE = (0.12, 0.1, 0.08)
@@ -26,20 +26,12 @@ BOXES = (
 
 def boxes(scale: float, time_step: float, gravity: float, duration: float, **stone: float) -> Scene:
     """A stack of two turned boxes, and one that falls on a corner; lengths times `scale`."""
-    return parse_scene(
-        {
-            "time_step": time_step, "duration": duration, "gravity": [0.0, 0.0, -gravity],
-            "materials": {"stone": {"density": 2000.0, "friction": 0.5} | stone},
-            "bodies": [
-                {"name": "ground", "material": "stone", "static": True,
-                 "shape": {"plane": {"coefficients": [0.0, 0.0, 1.0, 0.0]}}},
-                *[{"name": f"box {i}", "material": "stone", "shape": {"box": {"size": [scale * x for x in SIZE]}},
-                   "position": [scale * x for x in place], "rotation": list(turn)}
-                  for i, (place, turn) in enumerate(BOXES)],
-            ],
-        },
-        "boxes",
-    )  # fmt: skip
+    placed = [
+        box(f"box {i}", [scale * x for x in SIZE], [scale * x for x in place], rotation=list(turn))
+        for i, (place, turn) in enumerate(BOXES)
+    ]
+    material = {"density": 2000.0, "friction": 0.5} | stone
+    return small_scene(material, GROUND, *placed, gravity=gravity, time_step=time_step, duration=duration)
 
 
 def course(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -69,12 +61,6 @@ def test_small_bodies_fall_asleep_on_each_other(scale: float, sleep_time: float)
     np.testing.assert_allclose(heights, [0.04, 0.12], atol=2e-4)
 
 
-def test_bodies_rest_where_the_service_looks_for_contacts() -> None:
-    settings = SolverSettings()
-    assert settings.rest_gap <= 0.5 * Settings().detection_tolerance < settings.memory_reach < settings.ahead_gap
-    assert settings.rest_slop < settings.rest_gap
-
-
 def test_the_size_of_a_body_is_half_the_longest_side_of_its_box() -> None:
     shapes = {
         "box": {"size": [0.2, 0.6, 0.4]}, "sphere": {"radius": 0.3}, "plane": {"coefficients": [0, 0, 1, 0]},
@@ -82,14 +68,3 @@ def test_the_size_of_a_body_is_half_the_longest_side_of_its_box() -> None:
     }  # fmt: skip
     sizes = [parse_shape(Fields({kind: fields}, "shape"), {}).half_length() for kind, fields in shapes.items()]
     assert sizes == pytest.approx([0.3, 0.3, math.inf, 0.3])
-
-
-def test_limits_of_motion_follow_the_bodies_and_gravity() -> None:
-    """A small body at rest moves by no more than a share of its size; a large one is not at rest while it topples."""
-    settings, gravity = SolverSettings(), np.array(EARTH)
-    small, large = farthest_at_rest(settings, np.array([0.001, 10.0]), gravity)
-    assert small == pytest.approx(0.001 * settings.sleep_speed * settings.sleep_time)
-    assert large < 1e-3
-    assert farthest_at_rest(settings, np.array([10.0]), np.zeros(3)) == pytest.approx(0.1 * settings.sleep_time)
-    speeds = bounce_speeds(settings, np.array([0.1, 10.0]), gravity)
-    assert speeds == pytest.approx([0.198, 1.98], abs=1e-3)

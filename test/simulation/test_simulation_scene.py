@@ -10,7 +10,7 @@ import pytest
 
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.actors.hand import HandSettings, HeldBody, kick
-from fracture_collision.simulation.scene.scene import SceneError, collision_body, load_scene, parse_scene
+from fracture_collision.simulation.scene.scene import SceneError, load_scene, parse_scene
 from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.world import Settings
 
@@ -22,20 +22,6 @@ VALID = {
         {"name": "brick", "material": "stone", "shape": {"brick": {"size_xyz": [0.2, 0.1, 0.1], "edge_length": 0.05}}},
     ],
 }  # fmt: skip
-
-
-def test_the_plates_scene():
-    scene = load_scene("plates")
-    assert scene.name == "plates"
-    plates = [body for body in scene.bodies if body.shape.kind == "plate"]
-    balls = [body for body in scene.bodies if body.shape.kind == "sphere"]
-    assert len(plates) == 4
-    assert len(balls) >= 4
-    assert all(body.material.fracture is not None for body in plates)
-    record = collision_body(7, plates[0])
-    assert (record.body_id, record.fragment_id) == (7, 7)
-    assert np.ptp(record.vertices.reshape(-1, 3), axis=0)[0] == pytest.approx(0.25)
-    assert record.tetrahedra.max() < len(record.vertices) // 3
 
 
 def test_start_bodies_are_returned_on_every_call_and_announced_once():
@@ -201,25 +187,6 @@ def test_the_impulse_obeys_the_implicit_spring():
     damper = 2.0 * settings.damping_ratio * mass * swing * (at_point - hand_velocity)
     assert mass * change[:3] == pytest.approx(-h * (spring + damper))
     assert inertia @ change[3:] == pytest.approx(np.cross(point - center, mass * change[:3]))
-
-
-def test_a_hand_keeps_the_gripped_piece_of_a_body_that_breaks():
-    hold = [-0.1, 0.0, 0.5]
-    with Lockstep(scene([[0.0, *hold, "brick"], [9.0, *hold, "brick"]]), Settings(threads=1)) as run:
-        run.step()
-        assert run.simulation.drag.held == 1
-        assert run.simulation.strike(1, np.zeros(3), 2.0)
-        (event,) = run.simulation.begin_step().events
-        vertices = load_brick().reshape(-1, 3)
-        nearest = int(np.argmin(((vertices - [-0.1, 0.0, 0.0]) ** 2).sum(axis=1)))
-        owner = int(event.new_fragment_ids[event.node_fragments[event.nodes == nearest]][0])
-        assert run.simulation.drag.held == owner
-        run.step()
-        assert run.simulation.drag.held == owner
-
-
-def load_brick() -> np.ndarray:
-    return scene([[0.0, 0.0, 0.0, 0.0, ""], [1.0, 0.0, 0.0, 0.0, ""]]).bodies[0].shape.mesh.vertices
 
 
 def test_a_commanded_hand_takes_moves_and_releases_the_nearest_piece():

@@ -11,55 +11,29 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from worlds.served_scene import ServedScene
+from worlds.small_scenes import GROUND, box, small_scene
 
 from fracture_collision.records import ContactConstraintArray, FragmentStates
-from fracture_collision.simulation.scene.scene import Scene, parse_scene
-from fracture_collision.simulation.simulation import Simulation, StepReport
+from fracture_collision.simulation.scene.scene import Scene
+from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.simulation.solver.contact_memory import NOTHING, rest_gaps_of, with_remembered
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
-from fracture_collision.simulation.solver.sleep import NOBODY, Rest, after_step, roused, settled
-from fracture_collision.world import CollisionWorld, Settings
+from fracture_collision.simulation.solver.sleep import Rest, after_step
+from fracture_collision.world import Settings
 
 STONE = {"density": 2000.0, "friction": 0.6, "restitution": 0.0, "rolling_arm": 0.0}
-GROUND = {
-    "name": "ground", "shape": {"plane": {"coefficients": [0.0, 0.0, 1.0, 0.0]}}, "material": "stone", "static": True,
-}  # fmt: skip
 
 
 def block(name: str, z: float, **more: Any) -> dict[str, Any]:
-    return {
-        "name": name, "shape": {"box": {"size": [0.2, 0.2, 0.1]}}, "material": "stone", "position": [0.0, 0.0, z],
-    } | more  # fmt: skip
+    return box(name, [0.2, 0.2, 0.1], [0.0, 0.0, z]) | more
 
 
 def scene_of(*bodies: dict[str, Any], **more: Any) -> Scene:
-    return parse_scene(
-        {"time_step": 0.0025, "duration": 10.0, "gravity": [0.0, 0.0, -9.81], "materials": {"stone": STONE},
-         "bodies": [GROUND, *bodies]} | more,
-        "blocks",
-    )  # fmt: skip
+    return small_scene(STONE, GROUND, *bodies, duration=10.0, **more)
 
 
-class Run:
-    """Simulator and service in one process."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.simulation, self.world = Simulation(scene, 7), CollisionWorld(Settings(threads=1))
-        self.states: list[FragmentStates] = []
-        for body in self.simulation.start_bodies():
-            self.world.add_body(body)
-
-    def step(self, count: int = 1) -> StepReport:
-        for _ in range(count):
-            request = self.simulation.begin_step()
-            for body in request.bodies:
-                self.world.add_body(body)
-            for event in request.events:
-                self.world.add_fracture(event)
-            self.states.append(request.states)
-            report = self.simulation.finish_step(self.world.contacts(request.states), self.world.fragments())
-        return report
-
+class Run(ServedScene):
     def asleep(self) -> int:
         return int(self.simulation._rest.asleep.sum())
 
@@ -71,8 +45,7 @@ class Run:
         raise AssertionError(f"{self.asleep()} of {count} are asleep")
 
     def height(self, fragment_id: int) -> float:
-        states = self.states[-1]
-        return float(states.positions.reshape(-1, 3)[states.fragment_ids.tolist().index(fragment_id), 2])
+        return float(self.place(fragment_id)[2])
 
 
 @pytest.fixture
@@ -80,7 +53,7 @@ def run_of() -> Iterator[Any]:
     made = []
 
     def make(scene: Scene) -> Run:
-        made.append(Run(scene))
+        made.append(Run(Simulation(scene, 7), Settings(threads=1)))
         return made[-1]
 
     yield make
@@ -92,11 +65,12 @@ def test_a_stack_at_rest_keeps_its_poses_to_the_last_bit(run_of) -> None:
     run = run_of(scene_of(block("lower", 0.051), block("upper", 0.1515)))
     run.until_asleep(2)
     run.step(3)
-    kept = run.states[-1]
+    kept = run.requests[-1].states
     report = run.step(50)
+    last = run.requests[-1].states
     for name in ("positions", "orientations"):
-        assert getattr(run.states[-1], name).tobytes() == getattr(kept, name).tobytes()
-    assert not run.states[-1].linear_velocities.any() and not run.states[-1].angular_velocities.any()
+        assert getattr(last, name).tobytes() == getattr(kept, name).tobytes()
+    assert not last.linear_velocities.any() and not last.angular_velocities.any()
     assert report.kinetic_energy == 0.0 and report.contacts == 12
 
 
@@ -143,35 +117,13 @@ def test_a_fracture_wakes_touching_bodies(run_of) -> None:
     brick = {"shape": {"brick": {"size_xyz": [0.2, 0.1, 0.06], "edge_length": 0.02}}, "material": "clay"}
     stack = [block(f"brick {k}", 0.0301 + 0.0601 * k, **brick) for k in range(3)]
     apart = block("apart", 0.0301, **brick) | {"position": [1.0, 0.0, 0.0301]}
-    run = run_of(scene_of(*stack, apart, materials={"stone": STONE, "clay": clay}))
+    run = run_of(scene_of(*stack, apart, materials={"clay": clay}))
     run.until_asleep(4)
     assert run.simulation.strike(3, np.zeros(3), 2.0)
     run.step()
     awake = run.simulation._rest.fragment_ids[~run.simulation._rest.asleep].tolist()
     assert {2, 4} < set(awake), "those below and above"
     assert 5 not in awake and 3 not in run.simulation._rest.fragment_ids
-
-
-def test_islands_sleep_and_wake_as_one() -> None:
-    """Bodies 0 and 1 touch each other, 2 touches a static body, 3 touches nothing."""
-    begin, a, b = np.array([0, 1, 2]), np.array([0, 2]), np.array([1, 4])
-    ids = np.arange(10, 14, dtype=np.uint32)
-    quiet = np.array([0.3, 0.1, 0.3, 0.3])
-    rest = settled(Rest(ids, quiet, np.zeros(4, bool), np.zeros((4, 6))), begin, a, b, 0.25)
-    assert rest.asleep.tolist() == [False, False, True, False]
-    rest = settled(Rest(ids, np.full(4, 0.3), np.zeros(4, bool), np.ones((4, 6))), begin, a, b, 0.25)
-    assert rest.asleep.tolist() == [True, True, True, False]
-    nobody_gone = np.zeros(0, np.uint32), np.zeros(0, np.uint32)
-    pushed = np.array([True, False, False, False])
-    woken = settled(roused(rest, ids, nobody_gone, pushed), begin, a, b, 0.25)
-    assert woken.asleep.tolist() == [False, False, True, False] and woken.quiet[:2].tolist() == [0.0, 0.0]
-    assert not woken.gone[0].any() and woken.gone[2].all()
-    # 12 is gone, and 13 rested on it
-    rest = rest._replace(asleep=np.ones(4, bool))
-    touched = np.array([10, 12], np.uint32), np.array([11, 13], np.uint32)
-    left = roused(rest, np.array([10, 11, 13], np.uint32), touched, np.zeros(3, bool))
-    assert left.asleep.tolist() == [True, True, False]
-    assert roused(rest, np.zeros(0, np.uint32), touched, np.zeros(0, bool)) is NOBODY
 
 
 def test_slow_bodies_count_as_quiet() -> None:

@@ -11,22 +11,21 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from worlds.small_scenes import ball, box, small_scene
 
-from benchmarks.elementary.ours import run as run_elementary
-from benchmarks.elementary.scenes import SCENES, Setting
-from benchmarks.elementary.scenes import scene_of as elementary_scene
 from benchmarks.tunnelling import TIME_STEP, run_trial, scene_of
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.catching_up import CATCH_UP, Waited, extra_times
 from fracture_collision.simulation.engine import BodyStates
-from fracture_collision.simulation.scene.scene import Scene, parse_scene
+from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.simulation.solver.contact_solver import BodyPairs
-from fracture_collision.simulation.solver.side_by_side import Boxes, Motion, boxes_of, shares_side_by_side
-from fracture_collision.simulation.solver.touch_ahead import Touches, shares_until_touch, split_by_gap
+from fracture_collision.simulation.solver.side_by_side import Boxes, Motion, shares_side_by_side
+from fracture_collision.simulation.solver.touch_ahead import Touches, shares_until_touch
 from fracture_collision.world import Settings
 
 REST, SPARE = 1e-4, 5e-4
+LOSSLESS = {"density": 1000.0, "friction": 0.0, "restitution": 1.0}
 
 
 def contacts(gaps: list[list[float]]) -> ContactConstraintArray:
@@ -40,19 +39,6 @@ def contacts(gaps: list[list[float]]) -> ContactConstraintArray:
         np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32), zeros, zeros, zeros, np.zeros(3 * n),
         points.ravel(), np.tile([1.0, 0.0, 0.0], n), flat, np.arange(n, dtype=np.uint64),
     )  # fmt: skip
-
-
-def test_contacts_are_split_by_their_gaps() -> None:
-    listed = contacts([[-1e-3, 0.2, 1e-4], [0.3], [], [0.0]])
-    sizes = np.array([0.1, 200.0, 0.1, 0.1])
-    now, ahead = split_by_gap(listed, sizes, 0.005)
-    assert now.gaps.tolist() == [-1e-3, 1e-4, 0.3, 0.0] and now.contact_ids.tolist() == [0, 2, 3, 4]
-    assert now.fragment_b.tolist() == [2, 3, 4, 5] and now.pair_begin.tolist() == [0, 2, 3, 3, 4]
-    assert len(now.points_b) == 12 and len(now.missed_depth_bound) == 4
-    assert ahead.fragment_b.tolist() == [2] and ahead.points_b.tolist() == [0.2, 0.0, 0.0] and ahead.gaps == [0.2]
-    assert ahead.pair_begin.tolist() == [0, 1] and ahead.contact_ids.tolist() == [1]
-    same, none = split_by_gap(now, sizes, 0.005)
-    assert none is None and same is now
 
 
 class Ahead(NamedTuple):
@@ -73,16 +59,6 @@ def shares(ahead: Ahead, centers, velocities, is_turning=False, is_round=None) -
     spheres = np.zeros(n + 1, bool) if is_round is None else np.array(is_round)
     motion = Motion(np.array(centers, float), np.array(velocities, float), 0.01)
     return shares_until_touch(touches, motion, np.ones(n), is_turning, spheres)
-
-
-def test_a_body_moves_until_it_touches() -> None:
-    """10 m/s towards a static obstacle 3 cm away, in steps of 10 ms; a body moving away is free."""
-    moves = [[10.0, 0.0, 0.0, 0.0, 0.0, 0.0]]
-    near = Ahead([0], [1], [[0.0] * 3], [[0.03, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
-    far = near._replace(points_b=[[0.2, 0.0, 0.0]])
-    assert shares(near, [[0.0] * 3], moves) == pytest.approx([(0.03 - REST) / 0.1])
-    assert shares(near, [[0.0] * 3], [[-10.0, 0, 0, 0, 0, 0]]) == [1.0]
-    assert shares(far, [[0.0] * 3], moves) == [1.0]
 
 
 def test_a_body_stops_behind_a_stopped_body() -> None:
@@ -170,26 +146,6 @@ def test_bodies_that_move_away_from_or_past_a_stopped_one_are_not_stopped() -> N
     assert beside([0.1, 1.0], [[0.1, 0.12, 0.0], [0.0, 0.0, 0.0]], past).tolist() == [0.1, 1.0]
 
 
-def test_boxes_are_recovered_from_their_inertias() -> None:
-    """For boxes in any orientation."""
-    random = np.random.default_rng(5)
-    sides, turns = random.uniform(0.01, 0.2, (20, 3)), Rotation.random(20, random_state=6)
-    sides[:3] = [[0.1, 0.1, 0.1], [0.1, 0.1, 0.004], [0.004, 0.1, 0.1]]
-    turns = Rotation.concatenate([Rotation.identity(3), turns[3:]])
-    masses, squares = 2400.0 * sides.prod(axis=1), sides**2
-    moments = masses[:, None] / 12.0 * (squares.sum(axis=1, keepdims=True) - squares)
-    frames = turns.as_matrix()
-    inertias = np.einsum("nij,nj,nkj->nik", frames, moments, frames)
-    boxes = boxes_of(masses, inertias)
-    np.testing.assert_allclose(np.sort(2.0 * boxes.halves, axis=1), np.sort(sides, axis=1), rtol=1e-9)
-    np.testing.assert_allclose(np.linalg.det(boxes.axes), 1.0, rtol=1e-12)
-    again = np.einsum("nki,nkj->nij", boxes.axes, boxes.axes)
-    np.testing.assert_allclose(again, np.tile(np.eye(3), (20, 1, 1)), atol=1e-14)
-    own = np.einsum("nki,nij,nkj->nk", boxes.axes, inertias, boxes.axes)
-    halves = 0.5 * np.sqrt(np.maximum(6.0 * (moments.sum(axis=1)[:, None] - 2.0 * own) / masses[:, None], 0.0))
-    np.testing.assert_allclose(boxes.halves, halves, rtol=1e-7, atol=1e-9)
-
-
 def test_bodies_rotate_by_the_published_angular_velocities() -> None:
     """By the angular velocities in the states, although a shard's spin axis precesses by a radian in a step."""
     with Lockstep(scene_of(10.0, 3, True), Settings(threads=1, lookahead=TIME_STEP)) as lockstep:
@@ -203,19 +159,10 @@ def test_bodies_rotate_by_the_published_angular_velocities() -> None:
 
 @pytest.mark.parametrize("speed", [3.0, 30.0, 300.0])
 def test_a_ball_bounces_off_a_thin_wall_at_its_speed(speed: float) -> None:
-    material = {"density": 1000.0, "friction": 0.0, "restitution": 1.0}
-    scene = parse_scene(
-        {
-            "gravity": [0.0, 0.0, 0.0], "time_step": 0.0025, "duration": 0.0025 * (10 + int(0.8 / speed / 0.0025)),
-            "materials": {"steel": material},
-            "bodies": [
-                {"name": "wall", "material": "steel", "static": True, "shape": {"box": {"size": [1.0, 0.005, 1.0]}}},
-                {"name": "ball", "material": "steel", "shape": {"sphere": {"radius": 0.03}},
-                 "position": [0.0, -0.4, 0.0], "linear_velocity": [0.0, speed, 0.0]},
-            ],
-        },
-        "wall",
-    )  # fmt: skip
+    wall = box("wall", [1.0, 0.005, 1.0], static=True)
+    fast = ball("ball", 0.03, [0.0, -0.4, 0.0], linear_velocity=[0.0, speed, 0.0])
+    duration = 0.0025 * (10 + int(0.8 / speed / 0.0025))
+    scene = small_scene(LOSSLESS, wall, fast, gravity=0.0, duration=duration)
     farthest, moments = -1.0, []
     with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as lockstep:
         for exchange in lockstep:
@@ -233,13 +180,6 @@ def test_a_shard_does_not_go_through_a_plate() -> None:
     assert not any(trial.is_through for trial in ahead)
     assert max(trial.energy_gain for trial in ahead) < 1e-12
     assert sum(run_trial(scene, 0.0).is_through for scene in scenes) > 6
-
-
-def test_bodies_that_touch_do_not_run_into_each_other_where_one_waits() -> None:
-    """Of dominoes that lean on each other, the last waits where it hits the next: 4.5 mm deep they went."""
-    dominoes = SCENES["dominoes"]
-    deepest = run_elementary(elementary_scene("dominoes", dominoes, Setting("box", step=0.01))).deepest.min()
-    assert deepest > -1e-3
 
 
 def test_a_service_that_does_not_look_ahead_by_a_step_is_warned_of_once_per_change() -> None:
@@ -278,21 +218,10 @@ APART, RADIUS = 0.5, 0.03
 
 def between_walls(speed: float, duration: float) -> Scene:
     """A ball that flies to and fro without loss, at first from x = 0 to the right."""
-    material = {"density": 1000.0, "friction": 0.0, "restitution": 1.0}
-    wall = {"material": "steel", "static": True, "shape": {"box": {"size": [0.1, 1.0, 1.0]}}}
     right = 0.5 * APART + RADIUS + 0.05
-    return parse_scene(
-        {
-            "gravity": [0.0, 0.0, 0.0], "time_step": STEP, "duration": duration, "materials": {"steel": material},
-            "bodies": [
-                {"name": "left", "position": [-right, 0.0, 0.0], **wall},
-                {"name": "right", "position": [right, 0.0, 0.0], **wall},
-                {"name": "ball", "material": "steel", "shape": {"sphere": {"radius": RADIUS}},
-                 "linear_velocity": [speed, 0.0, 0.0]},
-            ],
-        },
-        "walls",
-    )  # fmt: skip
+    walls = [box(f"wall at {x}", [0.1, 1.0, 1.0], [x, 0.0, 0.0], static=True) for x in (-right, right)]
+    thrown = ball("ball", RADIUS, linear_velocity=[speed, 0.0, 0.0])
+    return small_scene(LOSSLESS, *walls, thrown, gravity=0.0, time_step=STEP, duration=duration)
 
 
 @pytest.mark.parametrize("speed", [1.0, 3.0, 7.0])

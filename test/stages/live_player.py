@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from fracture_collision.msg import FragmentStates, SimulationStatus
 from sensor_msgs.msg import JointState
@@ -16,12 +18,13 @@ PLATE = np.array([-0.45, 0.0, 0.7227])  # [m] the first plate
 
 
 class Player:
-    """A user of a live scene of plates."""
+    """A user of a live scene."""
 
-    def __init__(self, stage: StageWithClients) -> None:
-        self.service = stage.start("collision_node")
-        self.simulator = stage.start("live_simulator_node", scene="plates", seed=7)
-        self.ears = stage.client()
+    def __init__(self, stage: StageWithClients, scene: str = "plates", names: Sequence[str] = (), *own: str) -> None:
+        """`names`: arguments of all nodes, for a namespace; `own`: of the user's."""
+        self.service = stage.start("collision_node", *names)
+        self.simulator = stage.start("live_simulator_node", *names, scene=scene, seed=7)
+        self.ears = stage.client(*names, *own)
         self.hands = LiveClient(self.ears.node)
         self.told: list[SimulationStatus] = []
         self.states: list[FragmentStates] = []
@@ -29,7 +32,8 @@ class Player:
         for topic, collected in (
             (LIVE_STATUS, self.told), (qos.FRAGMENT_STATES, self.states), (qos.JOINT_STATES, self.joints),
         ):  # fmt: skip
-            self.ears.node.create_subscription(topic.message_class, topic.name, collected.append, topic.qos)
+            profile = qos.recording(topic.qos)
+            self.ears.node.create_subscription(topic.message_class, topic.name, collected.append, profile)
         self.until(lambda: self.hands.is_there() and bool(self.told) and bool(self.states), "a live scene")
 
     @property

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -86,21 +85,6 @@ class ServiceClient:
         self.publish("fragment_states", states, run_id)
         self.spin_until(lambda: len(self.answers) > before, f"an answer to step {states.step}")
         assert len(self.answers) == before + 1 and self.answers[-1].run_id == run_id
-        return to_record(self.answers[-1])
-
-    def ask_until_answered(self, states: Any, run_id: int) -> ContactConstraintArray:
-        """Publishes states again and again: a service that has just started does not hear the first ones."""
-        before, asked = len(self.answers), -math.inf
-
-        def answered() -> bool:
-            nonlocal asked
-            if time.monotonic() > asked + ASK_AGAIN:
-                asked = time.monotonic()
-                self.publish("fragment_states", states, run_id)
-            return len(self.answers) > before
-
-        self.spin_until(answered, f"an answer to step {states.step}")
-        assert self.answers[-1].run_id == run_id
         return to_record(self.answers[-1])
 
     def await_registry(self, run_id: int, fracture_sequence: int) -> FragmentRegistry:

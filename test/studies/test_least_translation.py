@@ -11,39 +11,9 @@ X, Y, Z = np.eye(3)
 DEPTH = 0.01
 
 
-def test_one_contact_moves_along_its_normal() -> None:
-    np.testing.assert_allclose(least_translation(X[None], np.array([DEPTH])), DEPTH * X, atol=1e-15)
-
-
 def test_nothing_reported_and_gaps_move_nothing() -> None:
     assert not least_translation(np.zeros((0, 3)), np.zeros(0)).any()
     assert not least_translation(np.array([X, -X]), np.array([-DEPTH, 0.0])).any()
-
-
-def test_redundant_contacts_change_nothing() -> None:
-    tilted = (X + 0.1 * Y) / np.linalg.norm(X + 0.1 * Y)
-    normals, depths = np.array([X, X, X, tilted]), np.array([0.5 * DEPTH, DEPTH, 0.9 * DEPTH, 0.2 * DEPTH])
-    np.testing.assert_allclose(least_translation(normals, depths), DEPTH * X, atol=1e-12)
-
-
-@pytest.mark.parametrize("half_angle", [10.0, 45.0, 80.0])
-def test_a_wedge_needs_both_normals(half_angle: float) -> None:
-    angle = np.deg2rad(half_angle)
-    normals = np.array([np.cos(angle) * X + np.sin(angle) * Y, np.cos(angle) * X - np.sin(angle) * Y])
-    np.testing.assert_allclose(
-        least_translation(normals, np.array([DEPTH, DEPTH])), DEPTH / np.cos(angle) * X, atol=1e-12
-    )
-
-
-def test_a_corner_needs_three() -> None:
-    np.testing.assert_allclose(least_translation(np.eye(3), DEPTH * np.array([1, 2, 3])), DEPTH * np.array([1, 2, 3]))
-
-
-def test_a_gap_limits_the_translation() -> None:
-    # the second may move back by DEPTH only, so it slides sideways
-    normals = np.array([(X + Y) / np.sqrt(2.0), -X])
-    shift = least_translation(normals, np.array([4.0 * DEPTH, -DEPTH]))
-    assert normals @ shift == pytest.approx([4.0 * DEPTH, -DEPTH], abs=1e-12)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.1 / FARTHEST])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import re
 from itertools import count
 from pathlib import Path
 
@@ -11,19 +9,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.peers.report import MUJOCO, RAPIER
 from benchmarks.peers.worlds import EDGES, World, break_body
-from benchmarks.scaling.floors.limits import FIRST, LOOSE, TIGHT, UPDATE, Aim, measure_limits
 from benchmarks.scaling.growth import Exponents, GrowthRow, ThreadsRow, fit_exponents, measure_growth, measure_threads
 from benchmarks.scaling.heaps import FAST, MODERATE, SLOW, HeapRow, measure_heaps
 from benchmarks.scaling.machine import Machine
 from benchmarks.scaling.memory import MemoryRow, measure_memory
-from benchmarks.scaling.piles import copy_of, make_pile, world_of
-from benchmarks.scaling.report import Asked, write_csv
+from benchmarks.scaling.piles import make_pile, world_of
+from benchmarks.scaling.report import write_csv
 from benchmarks.scaling.round_trips import RoundTripRow, measure_round_trips
 from benchmarks.scaling.small_updates import SmallUpdateRow, measure_small_updates
 from benchmarks.scaling.updates import UpdateRow, measure_update_of_one
-from benchmarks.scaling.visits import KINDS_OF_VISIT, LISTED, LOCATED, FloorRow, VisitRow, Work, floor_of
+from benchmarks.scaling.visits import KINDS_OF_VISIT, FloorRow, VisitRow, Work, floor_of
 from benchmarks.studies.as_a_whole import SHEETS, scaling_section
 from fracture_collision.geometry.generators import ball
 from fracture_collision.records import ContactConstraintArray, FragmentStates
@@ -50,12 +46,6 @@ def test_a_pile_lies_on_the_floor_and_is_the_same_again(source: World) -> None:
     assert heights.min() > 0.0 and np.median(heights) < 1.0
     answer = world_of(pile, Settings(threads=1)).contacts(pile.states)
     assert len(answer.gaps) > 0 and -0.1 < np.median(answer.gaps) < 0.0  # [R] slight overlaps
-
-
-def test_copies_have_ids_of_their_own(source: World) -> None:
-    copies = [copy_of(source, k) for k in range(3)]
-    ids = [i for body, event in copies for i in (body.fragment_id, *event.new_fragment_ids.tolist())]
-    assert len(set(ids)) == len(ids)
 
 
 def test_a_known_exponent_is_found() -> None:
@@ -142,44 +132,6 @@ def test_lower_bounds_of_a_visit() -> None:
     assert sorted(kinds, key=lambda row: row.in_turn) == kinds, "each kind does what the one before it does, and more"
 
 
-def test_limits_are_computed_from_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Contacts and samples are counted in a separate world; times are given."""
-    monkeypatch.setattr("benchmarks.scaling.floors.limits._undisturbed", lambda _footprint: MACHINE)
-    monkeypatch.setattr("benchmarks.scaling.floors.limits.least_update", lambda _world: (2.0, "passes"))
-    monkeypatch.setattr("benchmarks.scaling.floors.limits.update_alone", lambda _world: 3.0)
-    answers = []
-
-    def alone(_service: CollisionWorld, _states: FragmentStates, answer: ContactConstraintArray) -> float:
-        answers.append(len(answer.gaps))
-        return float(answers[-1])
-
-    monkeypatch.setattr("benchmarks.scaling.floors.limits.contacts_alone", alone)
-    peers = tmp_path / "peers.csv"
-    rows = {TIGHT: (9.0, 18.0, 20.0), LOOSE: (9.0, 6.0, 5.0), MUJOCO: (30.0, 0.5, 0.3), RAPIER: (5.0, 3.0, 1.0)}
-    with peers.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("world", "method", "update", "first_query", "jitter_query"))
-        writer.writerows(("shell20w", method, *times) for method, times in rows.items())
-    whats = (TIGHT, MUJOCO, 3.0), (LOOSE, MUJOCO, 3.0), (UPDATE, RAPIER, 0.25), (FIRST, RAPIER, 0.5)
-    tight, loose, update, both = measure_limits(
-        [Aim(what, "shell20w", peer, times) for what, peer, times in whats], peers
-    )
-    assert tight.aim == pytest.approx(0.9) and update.aim == pytest.approx(1.25) and loose.ours == 5.0
-    assert both.aim == pytest.approx(4.0) and both.ours == 27.0 and tight.ours_over_least == 20.0 / tight.least
-    assert (update.least, update.alone, update.rests_on) == (2.0, 3.0, "passes")
-    assert both.least == update.least + tight.least and both.alone == update.alone + tight.alone
-    # with a tolerance of 5 % R fewer contacts are listed; for pairs with few, all shared samples must be visited
-    half = len(answers) // 2
-    listed, apart = (floor_of(work, MACHINE).in_turn for work in (LISTED, LOCATED))
-    for row, contacts in ((tight, answers[:half]), (loose, answers[half:])):
-        assert row.alone == pytest.approx(np.mean(contacts))
-        found = re.match(r"(\d+) contacts at .* ns, (\d+) other samples of cracks", row.rests_on)
-        counted, others = map(float, found.groups())
-        assert abs(counted - np.mean(contacts)) <= 0.5 and others > 0.0
-        assert row.least == pytest.approx(1e-6 * (np.mean(contacts) * listed + others * apart), rel=0.01)
-    assert np.mean(answers[half:]) < np.mean(answers[:half])
-
-
 @pytest.mark.slow
 def test_memory_of_a_body_and_of_one_more() -> None:
     (row,) = measure_memory(("bunny",), (1,))
@@ -213,12 +165,3 @@ def test_the_page_has_a_column_for_each_measurement(tmp_path: Path) -> None:
     section = scaling_section(tmp_path)
     assert "| 100 | 4,321 | 300 | 1,000 | 0.25 | 2.5 | 6.2 |" in section and "| 0.91 |" in section
     assert "Two threads" not in section
-
-
-def test_tables_are_written(tmp_path: Path) -> None:
-    rows = [GrowthRow(100, 400, 50, 300, 1000, 0.25, 2.0, 2.5, 6.25)]
-    written = write_csv("growth", rows, tmp_path / "scaling.csv")
-    with written.open() as file:
-        (line,) = csv.DictReader(file)
-    assert written.name == "scaling_growth.csv" and float(line["broad_phase"]) == 0.25 and line["cpu"]
-    assert Asked("speed-up", 1.8, 1.7, at_least=True).is_met and not Asked("exponent", 1.2, 1.15).is_met

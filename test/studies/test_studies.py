@@ -26,17 +26,14 @@ from benchmarks.studies.ahead import flights, throws  # noqa: E402
 from benchmarks.studies.bench import Progress, run_studies  # noqa: E402
 from benchmarks.studies.cluster import cluster, run_trials  # noqa: E402
 from benchmarks.studies.machine import machine, versions  # noqa: E402
-from benchmarks.studies.page import BY_HAND, PAGE, STUDIES, study_files, wrapped, write_page  # noqa: E402
+from benchmarks.studies.page import BY_HAND, PAGE, STUDIES, study_files, write_page  # noqa: E402
 from benchmarks.studies.paper import fig5, fig12, fig15, fig16, fig17, resolution, tables  # noqa: E402
 from benchmarks.studies.replay import record, replay  # noqa: E402
-from benchmarks.studies.scene_trials import ONE_THREAD, in_words, scene_trial, with_shortest_times  # noqa: E402
+from benchmarks.studies.scene_trials import ONE_THREAD, in_words, with_shortest_times  # noqa: E402
 from benchmarks.studies.study import StudyError, Trial  # noqa: E402
 from benchmarks.studies.table import (  # noqa: E402
     Table,
-    average_and_worst,
     is_time,
-    markdown_table,
-    number,
     read_table,
     write_table,
 )
@@ -186,29 +183,6 @@ def test_tables_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert table.values("count") == [3, -1] and np.isnan(table.column("none")).all()
     assert table.where(name="c").column("share").tolist() == [2.0]
     assert is_time("total_ms_worst") and is_time("visit_ns") and not is_time("deepest_mm")
-
-
-@pytest.mark.parametrize(
-    ("value", "said"),
-    [(None, "–"), (float("nan"), "–"), ("x", "x"), (0, "0"), (1234567, "1,234,567"), (99.96, "100"), (12.34, "12.3"),
-     (0.0012345, "0.00123"), (-3.0, "-3")],
-)  # fmt: skip
-def test_numbers_are_formatted_as_words(value: object, said: str) -> None:
-    assert number(value) == said
-
-
-def test_markdown_tables_are_formatted_and_wrapped() -> None:
-    assert markdown_table(("a", "b"), [("x", "1")]) == "| a | b |\n| --- | ---: |\n| x | 1 |\n"
-    row = {"t_average": 1.5, "t_worst": None, "u_average": None, "u_worst": None, "v_average": 2, "v_worst": 3000}
-    assert [average_and_worst(row, name) for name in "tuv"] == ["1.5", "–", "2 / 3,000"]
-    text = "## Title\n\n" + "word " * 40 + "\n\n| a | b |\n| " + "x" * 150 + " |\n"
-    lines = wrapped(text).splitlines()
-    assert lines[0] == "## Title" and len(lines[2]) <= 120 and lines[-1] == "| " + "x" * 150 + " |"
-
-
-def test_a_trial_that_counts_is_not_timed() -> None:
-    with pytest.raises(ValueError, match="cannot be timed"):
-        scene_trial("pane", count_colliding=True)
 
 
 def test_repeats_leave_the_shortest_times_and_the_worst() -> None:

@@ -7,17 +7,18 @@ tested probes. Only `igl` is used: its package `igl.copyleft` has a different li
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import igl
 import numpy as np
 from oracles.brute_force import owners, partition_of
+from oracles.fragmented_body import uniform_points
 from worlds.fractured_worlds import FracturedWorld
 
 from fracture_collision.core.field.elementary_queries import INSIDE
 from fracture_collision.core.glondu2014.paper_probe import paper_probe
 from fracture_collision.core.search.scratch import make_scratch
-from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 
 FIELDS = ("averaged", "exact")
 NEAR = 0.02  # of R: below this depth a point is near the surface
@@ -57,15 +58,6 @@ def igl_winding(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(n,) 1 where the triangles, counter-clockwise from outside, close around a point, 0 outside."""
     faces = np.arange(3 * len(triangles)).reshape(-1, 3)
     return igl.winding_number(triangles.reshape(-1, 3), faces, points)
-
-
-def uniform_points(
-    vertices: np.ndarray, tetrahedra: np.ndarray, count: int, random: np.random.Generator
-) -> np.ndarray:
-    """Points (count, 3) [m] uniform over the volume of a body."""
-    volumes = tetrahedron_volumes(vertices, tetrahedra)
-    corners = vertices[tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]]
-    return np.einsum("nij,ni->nj", corners, random.dirichlet(np.ones(4), count))
 
 
 def make_truth(case: FracturedWorld, count: int, radius: float, seed: int) -> Truth:
@@ -114,7 +106,7 @@ def _probe(
     case: FracturedWorld, points: np.ndarray, fragments: np.ndarray, field: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Depth (n,) [m], most (n,) [m] and direction (n, 3) of each point in its fragment; nan if it is not inside."""
-    pools, paper = case.geometry.pools, case.geometry.paper.pools._replace(is_averaged=field == "averaged")
+    pools, paper = case.geometry.pools, replace(case.geometry.paper.pools, is_averaged=field == "averaged")
     scratch = make_scratch(len(case.oracle.tetrahedra), 8)
     rows = {f: case.row(f) for f in case.oracle.fragment_ids}
     answers = np.full((len(points), 5), np.nan)

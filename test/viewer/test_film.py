@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from click.testing import CliRunner, Result
 from scipy.spatial.transform import Rotation, Slerp
 from stages.bag_of_records import write_bag
 from stages.browser import chromium, opened
+from stages.typed_command import begun
 from worlds.small_run import small_run
 
 from fracture_collision.bag.reader import BagError
@@ -131,22 +131,15 @@ def test_invalid_arguments_are_rejected_with_an_explanation(bag: Path, tmp_path:
 
 
 def test_an_interrupted_film_keeps_the_old_one(bag: Path, tmp_path: Path) -> None:
-    out = tmp_path / "film.webp"
+    folder = tmp_path / "films"
+    folder.mkdir()
+    out = folder / "film.webp"
     out.write_bytes(b"of yesterday")
-    command = [sys.executable, "-m", "fracture_collision.cli", "film", bag, "--out", out, "--size", "1280x960",
-               "--samples", "64"]  # fmt: skip
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    try:
-        watched = os.open(tmp_path, os.O_RDONLY)
-        while len(os.listdir(watched)) < 2:  # until the unfinished film appears
-            assert running.poll() is None, running.stdout.read()
-        running.send_signal(signal.SIGINT)
-        said, _ = running.communicate(timeout=120)
-    finally:
-        running.kill()
-        os.close(watched)
-    assert running.returncode == 130 and "no film was written" in said and "Traceback" not in said, said
-    assert [file.name for file in tmp_path.iterdir()] == ["film.webp"] and out.read_bytes() == b"of yesterday"
+    with begun(tmp_path, "film", bag, "--out", out, "--size", "1280x960", "--samples", "64") as process:
+        process.until(lambda: len(os.listdir(folder)) > 1)  # until the unfinished film appears
+        process.stop(signal.SIGINT)
+    assert "no film was written" in process.text
+    assert [file.name for file in folder.iterdir()] == ["film.webp"] and out.read_bytes() == b"of yesterday"
 
 
 def test_meshes_that_were_not_recorded_are_computed(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import trimesh
 from stages.browser import until
-from worlds.small_run import small_run
+from worlds.small_run import records_of, show
 
 from benchmarks.page.lookers import taker
 from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
@@ -33,10 +33,6 @@ with Page() as page:
     print(page.address)
 print([name for name in ("requests", "certifi", "tqdm", "rclpy") if name in sys.modules])
 """
-
-
-def records_of(kind: Any) -> list[Any]:
-    return [record for _, record in small_run() if isinstance(record, kind)]
 
 
 def test_the_page_serves_localhost_and_loads_no_copyleft_package() -> None:
@@ -72,18 +68,6 @@ def test_a_fragment_in_gltf_has_the_triangles_of_its_mesh() -> None:
             0.5 * np.linalg.norm(np.cross(*(mesh.triangles[:, i] - mesh.triangles[:, 0] for i in (1, 2))), axis=1).sum()
         )
         assert np.allclose(read.bounds, [mesh.triangles.min(axis=(0, 1)), mesh.triangles.max(axis=(0, 1))], atol=1e-6)
-
-
-def test_fragments_have_shades_of_their_body_and_paler_cracks() -> None:
-    palette = Palette()
-    for body in records_of(CollisionBody):
-        palette.add(body)
-    first, second = palette.paint(10, 3), palette.paint(11, 3)
-    other = palette.paint(10, 4)
-    assert first.outside != second.outside and first.crack == second.crack
-    assert np.argmax(first.outside) == np.argmax(second.outside) != np.argmax(other.outside)
-    assert min(first.crack) > max(min(first.outside), min(second.outside))
-    assert palette.is_breakable(3) and not palette.is_breakable(5)
 
 
 def test_what_does_not_break_has_no_hue_and_hammer_balls_and_arm_differ() -> None:
@@ -158,12 +142,9 @@ def test_only_moved_fragments_are_sent_and_a_late_browser_gets_all() -> None:
 
 
 def test_a_body_is_shown_until_its_pieces_have_meshes() -> None:
-    bodies, meshes, states = records_of(CollisionBody), records_of(FragmentMesh), records_of(FragmentStates)
+    meshes, states = records_of(FragmentMesh), records_of(FragmentStates)
     with Page() as page:
-        for body in bodies:
-            page.add_body(body)
-        page.show_states(states[0])
-        page.flush()
+        show(page)
         nodes = page._scene._nodes
         assert sorted(nodes) == [2, 3, 4, 5] and all(node.visible for node in nodes.values())
         for mesh in meshes[1:]:
@@ -221,10 +202,7 @@ def test_a_floor_is_not_drawn_as_a_fragment() -> None:
 def test_thirty_two_pictures_a_second_show_the_newest_states_and_all_figures() -> None:
     states = records_of(FragmentStates)[0]
     with Page(told=frozenset({"contacts"})) as page:
-        for body in records_of(CollisionBody):
-            page.add_body(body)
-        page.show_states(states)
-        page.flush()
+        show(page)
         first, seen, step = page.pictures, [time.monotonic()], 0  # when each picture was first seen
         while len(seen) <= 40:
             step += 1
@@ -245,13 +223,9 @@ PICTURES = 5
 
 
 def test_a_test_client_gets_the_meshes_and_poses_of_a_browser() -> None:
-    records = [record for _, record in small_run()]
-    states = next(r for r in records if isinstance(r, FragmentStates))
+    states = records_of(FragmentStates)[0]
     with Page() as page:
-        for record in records:
-            if isinstance(record, CollisionBody):
-                page.add_body(record)
-        page.show_states(states)
+        show(page)
         with taker(page.address) as seen:
             until(lambda: sorted(mesh.fragment_id for mesh in seen.meshes()), lambda ids: ids == [2, 3, 4, 5])
             until(lambda: page.browsers, lambda count: count == 1)

@@ -5,15 +5,17 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from stages.bag_of_records import write_bag
 from stages.browser import HEIGHT, PATIENCE, WIDTH, knob, opened, picture_of, until
-from worlds.small_run import small_run
+from worlds.small_run import BREAKS, records_of, show, small_run
 
-from fracture_collision.records import CollisionBody, ContactConstraintArray, FragmentStates, refusal_of
-from fracture_collision.viewer.film.recorded_run import RecordedRun, RecordedStates
+from fracture_collision.records import ContactConstraintArray, FragmentMesh, FragmentStates, refusal_of
+from fracture_collision.run_meshes import read_run_with_meshes
 from fracture_collision.viewer.page.bag_player import BagPlayer
 from fracture_collision.viewer.page.page import INTERVAL, Page
 from fracture_collision.viewer.page.page_events import Handlers, InsideWanted, PlaneWanted
@@ -21,24 +23,15 @@ from fracture_collision.viewer.page.page_inside import InsideFigures, InsideView
 from fracture_collision.viewer.page.page_plots import Figures
 from fracture_collision.viewer.pictures.ray_picture import Camera
 
-
-def run_of_records() -> RecordedRun:
-    records = [record for _, record in small_run()]
-    bodies = {r.body_id: r for r in records if isinstance(r, CollisionBody)}
-    meshes = {r.fragment_id: r for r in records if type(r).__name__ == "FragmentMesh"}
-    body_of = {b.fragment_id: i for i, b in bodies.items()} | dict.fromkeys(meshes, 3)
-    states = [
-        RecordedStates(0.02 * r.step, r.step, r.fracture_sequence, r.fragment_ids, r.positions.reshape(-1, 3),
-                       r.orientations.reshape(-1, 4))
-        for r in records if isinstance(r, FragmentStates)
-    ]  # fmt: skip
-    return RecordedRun(bodies, body_of, meshes, states)
+AT_THE_OTHER = Camera(np.array([0.4, -3.0, 0.6]), np.array([0.4, 0.0, 0.6]), 0.6)
+"""Level, straight at the second brick, at (0.4, 0, 0.6), 0.3 m high and deep, 0.4 m wide."""
 
 
 @pytest.fixture
-def player() -> Iterator[BagPlayer]:
+def player(tmp_path: Path) -> Iterator[BagPlayer]:
     """Paused at the beginning; a thread advances it while it plays."""
-    with BagPlayer(run_of_records()) as made:
+    write_bag(tmp_path / "small", small_run())
+    with BagPlayer(read_run_with_meshes(tmp_path / "small")) as made:
         made.page.cast_shadows(False)  # shadows dominate the time of a software renderer
         made.play(False)
         made.seek(0.0)
@@ -151,7 +144,7 @@ def await_frames(seen: Any) -> None:
 
 def test_arrow_keys_turn_the_camera_where_no_hammer_has_them(browser: Any) -> None:
     with Page() as page:
-        page.look_from(Camera(np.array([0.4, -3.0, 0.6]), np.array([0.4, 0.0, 0.6]), 0.6))
+        page.look_from(AT_THE_OTHER)
         page.flush()
         with opened(browser, page.address) as seen:
             until(lambda: page.browsers, bool)
@@ -172,15 +165,11 @@ def test_clicks_drags_keys_and_layers_work_in_the_browser(browser: Any) -> None:
         clicked=hear("clicked"), drag_begun=hear("begun"), drag_moved=hear("moved"), drag_ended=hear("ended"),
         arrow=hear("arrow"), reset=hear("reset"),
     )  # fmt: skip
-    records = [record for _, record in small_run(steps=1)]
+    eye = AT_THE_OTHER.position
     with Page(handlers, told=frozenset({"contacts"})) as page:
-        for record in records[:-1]:
-            page.add_body(record)
-        # level, straight at the second brick, at (0.4, 0, 0.6), 0.3 m high and deep, 0.4 m wide
-        eye, target = np.array([0.4, -3.0, 0.6]), np.array([0.4, 0.0, 0.6])
-        page.look_from(Camera(eye, target, 0.6))
+        page.look_from(AT_THE_OTHER)
         page.cast_shadows(False)
-        page.show_states(records[-1])
+        show(page)
         page.show_contacts(contacts_at(np.array([[0.4 + 0.02 * i, -0.3, 0.6] for i in range(-5, 6)])))
         page.show_figures(Figures(0.0, contacts=11))
         with opened(browser, page.address) as seen:
@@ -212,14 +201,10 @@ def test_clicks_drags_keys_and_layers_work_in_the_browser(browser: Any) -> None:
 
 def test_the_inside_view_works_in_the_browser(browser: Any) -> None:
     asked: queue.Queue[InsideWanted] = queue.Queue()
-    records = [record for _, record in small_run(steps=1)]
     with Page(Handlers(looking_inside=asked.put)) as page:
-        for record in records[:-1]:
-            page.add_body(record)
-        # level, straight at the second brick, at (0.4, 0, 0.6), 0.3 m high and deep, 0.4 m wide
-        page.look_from(Camera(np.array([0.4, -3.0, 0.6]), np.array([0.4, 0.0, 0.6]), 0.6))
+        page.look_from(AT_THE_OTHER)
         page.cast_shadows(False)
-        page.show_states(records[-1])
+        show(page)
         with opened(browser, page.address) as seen:
             until(lambda: picture_of(seen), lambda picture: np.count_nonzero(red(picture)) > 150)
             bare = steady(seen)
@@ -271,15 +256,10 @@ def test_a_held_body_that_breaks_stays_in_the_hand(browser: Any) -> None:
         drag_begun=lambda drag: heard.put(("begun", drag)), drag_moved=lambda drag: heard.put(("moved", drag)),
         drag_ended=lambda drag: heard.put(("ended", drag)),
     )  # fmt: skip
-    records = [record for _, record in small_run()]
-    states = [record for record in records if isinstance(record, FragmentStates)]
     with Page(handlers) as page:
-        for record in records:
-            if isinstance(record, CollisionBody):
-                page.add_body(record)
         page.look_from(Camera(np.array([-0.4, -3.0, 0.6]), np.array([-0.4, 0.0, 0.6]), 0.6))  # at the brick that breaks
         page.cast_shadows(False)
-        page.show_states(states[0])
+        show(page)
         with opened(browser, page.address) as seen:
             until(lambda: picture_of(seen), lambda picture: np.count_nonzero(blue(picture)) > 150)
             x, y = WIDTH / 2, HEIGHT / 2
@@ -289,10 +269,9 @@ def test_a_held_body_that_breaks_stays_in_the_hand(browser: Any) -> None:
             assert heard.get(timeout=PATIENCE)[0] == "begun"
             # the pull is seen: an arrow from the grip to the pointer
             until(lambda: picture_of(seen), lambda picture: np.count_nonzero(orange(picture)) > 20)
-            for record in records:
-                if type(record).__name__ == "FragmentMesh":
-                    page.add_fragment(record, 3)
-            page.show_states(states[-1])
+            for mesh in records_of(FragmentMesh):
+                page.add_fragment(mesh, BREAKS)
+            page.show_states(records_of(FragmentStates)[-1])
             page.flush()
             while not heard.empty():
                 assert heard.get()[0] == "moved"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from stages import page_client
 from stages.browser import HEIGHT, opened, picture_of, until
-from worlds.small_run import small_run
+from worlds.small_run import records_of, show
 
 from fracture_collision.records import CollisionBody, FragmentStates
 from fracture_collision.viewer.page.page import Page
@@ -17,14 +17,8 @@ from fracture_collision.viewer.pictures.ray_picture import Camera
 
 
 def begin(page: Page, shift: float = 0.0) -> None:
-    """A run of two bricks, `shift` [m] to the right of where they are in the small run."""
-    bodies = [record for _, record in small_run(steps=1) if isinstance(record, CollisionBody)]
-    states = next(record for _, record in small_run(steps=1) if isinstance(record, FragmentStates))
     page.new_run()
-    for body in bodies:
-        page.add_body(body)
-    page.show_states(states._replace(positions=states.positions + np.tile([shift, 0.0, 0.0], len(states.fragment_ids))))
-    page.flush()
+    show(page, shift=shift)
 
 
 def bricks(picture: np.ndarray) -> np.ndarray:
@@ -96,11 +90,9 @@ def test_a_camera_stays_above_the_floor(browser: Any) -> None:
 
 def test_a_camera_over_a_scene_without_a_floor_may_be_anywhere(browser: Any) -> None:
     with Page() as page:
-        bodies = [record for _, record in small_run(steps=1) if isinstance(record, CollisionBody)]
-        states = next(record for _, record in small_run(steps=1) if isinstance(record, FragmentStates))
-        for body in bodies[1:]:
+        for body in records_of(CollisionBody)[1:]:
             page.add_body(body)
-        page.show_states(states)
+        page.show_states(records_of(FragmentStates)[0])
         with opened(browser, page.address) as seen:
             until(lambda: seen_bricks(seen), lambda count: count > 300)
             until(lambda: page.browsers, lambda count: count == 1)

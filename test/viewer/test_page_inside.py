@@ -21,7 +21,6 @@ from fracture_collision.viewer.page.page_inside import (
     InsideView,
     PlanePicture,
     Spheres,
-    line_distance,
 )
 
 NOBODY = -1
@@ -192,8 +191,3 @@ def test_figures_are_plotted_and_shown_while_requested(page: Page) -> None:
     page.new_run()
     page.flush()
     assert not inside._plots._rows and not inside._words.content and errors.visible
-
-
-@pytest.mark.parametrize(("deepest", "distance"), [(0.06, 0.01), (0.031, 0.005), (1.0, 0.2), (5e-5, 1e-5), (9.9, 2.0)])
-def test_contour_lines_are_at_round_depths(deepest: float, distance: float) -> None:
-    assert line_distance(deepest) == pytest.approx(distance)

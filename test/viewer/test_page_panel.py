@@ -14,9 +14,9 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 from stages.browser import knob, opened, until
-from worlds.small_run import small_run
+from worlds.small_run import records_of, show
 
-from fracture_collision.records import CollisionBody, FragmentMesh, FragmentStates
+from fracture_collision.records import FragmentMesh
 from fracture_collision.run_meshes import read_run_with_meshes
 from fracture_collision.viewer.page.bag_player import BagPlayer
 from fracture_collision.viewer.page.page import Page
@@ -30,7 +30,6 @@ from fracture_collision.viewer.page.page_plots import (
     SLOW_WORDS,
     Census,
     Figures,
-    Pace,
     has_time_left,
     words_of,
 )
@@ -47,16 +46,9 @@ START = Start(("plates", "vase"), "plates", mesh_suffixes=(".obj",), settings=KN
 
 
 def begin(page: Page, step: int = 0) -> None:
-    records = [record for _, record in small_run()]
     page.cast_shadows(False)
-    for record in records:
-        if isinstance(record, CollisionBody):
-            page.add_body(record)
-        elif isinstance(record, FragmentMesh):
-            page.add_fragment(record, 3)
-    page.show_states([record for record in records if isinstance(record, FragmentStates)][step])
     page.show_figures(Figures(0.15, contacts=76))
-    page.flush()
+    show(page, step, with_meshes=True)
 
 
 @pytest.mark.parametrize("encoding", ["gzip", "identity"])
@@ -157,17 +149,8 @@ def test_the_summary_counts_what_can_break_apart_from_the_rest() -> None:
         begin(page)
         assert page._summary._said == "**0.15 s** · 76 contacts  \n2 unbroken · 1 other body"  # the shelf is fixed
         begin(page, step=-1)
-        pieces = sum(isinstance(record, FragmentMesh) for _, record in small_run())
+        pieces = len(records_of(FragmentMesh))
         assert page._summary._said.endswith(f"1 unbroken · 1 in {pieces} pieces · 1 other body")
-
-
-def test_a_simulation_is_slow_only_after_a_while_and_not_in_slow_motion() -> None:
-    pace = Pace()
-    assert not pace.is_slow(10.0, 0.4, 1.0, False) and not pace.is_slow(10.0 + PATIENCE, 0.4, 1.0, False)
-    assert pace.is_slow(10.1 + PATIENCE, 0.4, 1.0, False)
-    assert not pace.is_slow(20.0, 0.4, 0.5, False), "slow motion at its pace"
-    assert not pace.is_slow(21.0, 0.4, 1.0, False), "it counts from the start again"
-    assert pace.is_slow(24.0, 0.1, 1.0, False) and not pace.is_slow(25.0, 0.0, 1.0, True)
 
 
 def test_a_simulation_whose_steps_are_short_waits_for_a_busy_machine() -> None:

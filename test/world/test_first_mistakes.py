@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from worlds.gate_world import record_bytes
 
-from fracture_collision import fracture, records
-from fracture_collision.geometry.generators import TetGeometry, brick
-from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates, SolidPrimitive, documented
-from fracture_collision.world import CollisionWorld, InvalidMessage, Settings
-from fracture_collision.world.gates.errors import Rejection
-from fracture_collision.world.present import Present
+from fracture_collision import fracture
+from fracture_collision.geometry.generators import brick
+from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
+from fracture_collision.world import CollisionWorld, InvalidMessage
 
 MESH = brick((0.2, 0.1, 0.06), 0.05)
 V, T = MESH.vertices, MESH.tetrahedra
@@ -26,7 +25,7 @@ def answer_and_digest(body: CollisionBody, event: FractureEvent, states: Fragmen
         world.add_body(each)
     world.add_fracture(event)
     answer = world.contacts(states)
-    return b"".join(np.asarray(column).tobytes() for column in answer), world.fragments().digest
+    return record_bytes(answer), world.fragments().digest
 
 
 def test_rows_lists_and_other_types_are_the_same_messages() -> None:
@@ -135,22 +134,3 @@ def test_rejected_states_say_what_to_pass(words: str) -> None:
     world.add_body(BODY)
     with pytest.raises(InvalidMessage, match="^" + words):
         world.contacts(FragmentStates(1, 0, [1], *STATES[words]))
-
-
-def test_every_field_of_the_public_records_is_documented() -> None:
-    in_records = [v for v in vars(records).values() if isinstance(v, type) and hasattr(v, "_fields")]
-    for record in (*in_records, Settings, Rejection, Present, TetGeometry):
-        for name in record._fields:
-            text = getattr(record, name).__doc__
-            assert text and not text.startswith("Alias for field"), f"{record.__name__}.{name}"
-
-
-def test_the_documentation_of_a_field_comes_from_the_docstring() -> None:
-    for record in (CollisionBody, Settings):
-        for name in record._fields:
-            text = " ".join([f"{name}:", *getattr(record, name).__doc__.split()])
-            assert text in " ".join(record.__doc__.split())
-    for entries in ("type: one", "type: one\n      sizes: two", "dimensions: two\n      type: one"):
-        odd = type("Odd", (SolidPrimitive,), {"__doc__": f"Odd.\n\n    Fields:\n      {entries}\n"})
-        with pytest.raises(TypeError, match="Odd: fields and their documentation differ"):
-            documented(odd)

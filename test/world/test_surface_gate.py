@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from time import process_time
 
 import numpy as np
 import pytest
-from worlds.rigid_shapes import RigidShape, cube, hollow_box, noisy_ball, torus, winding_number
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from worlds.gate_world import rigid
+from worlds.rigid_shapes import RigidShape, cube, noisy_ball, together, winding_number
 
-from fracture_collision.core.mesh.ray_crossings import UNDECIDED, windings_of_others
-from fracture_collision.records import CollisionBody
+from fracture_collision.core.mesh.ray_crossings import windings_of_others
 from fracture_collision.world import CollisionWorld, InvalidMessage
 from fracture_collision.world.gates.surface_gate import check_surface
 
@@ -20,23 +21,13 @@ TETRAHEDRON = RigidShape(
 )
 
 
-def together(*shapes: RigidShape) -> RigidShape:
-    first = np.cumsum([0] + [len(shape.vertices) for shape in shapes])
-    return RigidShape(
-        np.concatenate([shape.vertices for shape in shapes]),
-        np.concatenate([shape.triangles + begin for shape, begin in zip(shapes, first, strict=False)]),
-    )
-
-
 def cavity(shape: RigidShape, size: float, at: np.ndarray) -> RigidShape:
     return RigidShape(size * shape.vertices + at, shape.triangles[:, ::-1])
 
 
 def accepts(shape: RigidShape) -> bool:
     try:
-        CollisionWorld().add_body(
-            CollisionBody(1, 1, vertices=shape.vertices.ravel(), triangles=shape.triangles.ravel())
-        )
+        CollisionWorld().add_body(rigid(1, shape))
     except InvalidMessage as error:
         assert error.kind == "bad_mesh", error
         return False
@@ -45,25 +36,6 @@ def accepts(shape: RigidShape) -> bool:
 
 def pieces_of(*shapes: RigidShape) -> np.ndarray:
     return np.repeat(np.arange(len(shapes)), [len(shape.triangles) for shape in shapes])
-
-
-@pytest.mark.parametrize("make", [noisy_ball, torus, hollow_box, cube])
-def test_winding_numbers_equal_the_solid_angles(make: Callable[[], RigidShape]) -> None:
-    """At points inside and outside of nested pieces with both orientations."""
-    outer = make()
-    random = np.random.default_rng(3)
-    inner = [cavity(TETRAHEDRON, 0.2, at) for at in random.uniform(-1.0, 1.0, (10, 3))]
-    shapes = outer, cavity(outer, 0.5, np.zeros(3)), *inner
-    whole, piece = together(*shapes), pieces_of(*shapes)
-    points = random.uniform(-1.2, 1.2, (200, 3))
-    own = random.integers(-1, len(shapes), len(points))
-    found = windings_of_others(whole.corners, piece, points, own)
-    truth = [
-        winding_number(RigidShape(whole.vertices, whole.triangles[piece != o]), x[None])[0]
-        for o, x in zip(own, points, strict=True)
-    ]
-    assert np.allclose(found, truth, atol=1e-9)
-    assert len(set(found.tolist())) > 1
 
 
 def test_windings_in_line_with_corners_and_edges() -> None:
@@ -79,12 +51,6 @@ def test_windings_in_line_with_corners_and_edges() -> None:
     assert accepts(whole)
 
 
-def test_a_point_on_another_piece_is_undecided() -> None:
-    side = np.array([[0.5, 0.1, 0.2], [0.5, 0.5, 0.1], [0.5, -0.5, 0.5]])
-    found = windings_of_others(cube().corners, np.zeros(12, int), side, np.full(3, -1))
-    assert (found == UNDECIDED).all()
-
-
 def test_verdicts_equal_those_of_solid_angles() -> None:
     random, verdicts = np.random.default_rng(5), []
     outer = noisy_ball()
@@ -93,10 +59,18 @@ def test_verdicts_equal_those_of_solid_angles() -> None:
         inner = [cavity(TETRAHEDRON, 0.05, x) for x in at]
         shapes = outer, *inner
         points = np.array([shape.corners[0, 0] for shape in inner])
-        around = [winding_number(together(outer, inner[1 - k]), points[k][None])[0] for k in range(2)]
+        around = [winding_number(together(outer, inner[1 - k]).corners, points[k][None])[0] for k in range(2)]
         verdicts.append(accepts(together(*shapes)))
         assert verdicts[-1] == all(0.5 < w < 1.5 for w in around)
     assert 5 < sum(verdicts) < 35
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1), st.integers(4, 12), st.integers(4, 30))
+def test_random_triangles_are_rejected(seed: int, vertices: int, triangles: int) -> None:
+    random = np.random.default_rng(seed)
+    soup = RigidShape(random.normal(size=(vertices, 3)), random.integers(0, vertices, (triangles, 3)))
+    assert not accepts(soup)
 
 
 def test_the_cost_of_a_cavity_does_not_grow_with_their_number() -> None:

@@ -6,11 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from test_ros_collision_run import FIRST, SECOND, STATES, breakable_body, field_bytes, ground
+from worlds.broken_bar import BAR, STATES, told_world
+from worlds.gate_world import SETTINGS as START
+from worlds.gate_world import record_bytes
 
 from fracture_collision.world import CollisionWorld, InvalidMessage, PaperSettings, Settings
 
-START = Settings(threads=1)
 CHANGES = [
     {"contacts_per_pair": 2}, {"penetration_tolerance": 0.1}, {"detection_tolerance": 0.05}, {"threads": 3},
     {"method": "glondu2014"}, {"method": "glondu2014", "paper": PaperSettings(field="exact")},
@@ -26,18 +27,9 @@ UNSEEN = {"threads", "max_bodies", "max_nodes", "max_fragments"}
 MOVED = STATES._replace(positions=STATES.positions + np.array([0, 0, 0, 0, 0, 0.02, -0.03, 0.01, 0.02, -0.05, 0, 0.02]))
 
 
-def answers(world: CollisionWorld) -> list[list[bytes]]:
+def answers(world: CollisionWorld) -> list[bytes]:
     """Repeated states give slow pairs their neighbour lists."""
-    return [field_bytes(world.contacts(states)) for states in (STATES, STATES, STATES, MOVED)]
-
-
-def told_world(settings: Settings) -> CollisionWorld:
-    world = CollisionWorld(settings)
-    world.add_body(breakable_body())
-    world.add_body(ground())
-    world.add_fracture(FIRST)
-    world.add_fracture(SECOND)
-    return world
+    return [record_bytes(world.contacts(states)) for states in (STATES, STATES, STATES, MOVED)]
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: "-".join(f"{k}-{v}" for k, v in change.items()))
@@ -83,16 +75,16 @@ def test_registries_name_the_settings_that_change_answers_alone(change: dict) ->
 
 def test_changed_limits_apply_to_later_messages() -> None:
     world = told_world(START)
-    nodes = len(breakable_body().vertices) // 3
+    nodes = len(BAR.vertices) // 3
     for change, kind_of_limit in (
         ({"max_bodies": 2}, "2 bodies"), ({"max_fragments": 6}, "6 fragments"), ({"max_nodes": 2 * nodes - 1}, "nodes")
     ):  # fmt: skip
         world.change_settings(START._replace(**change))
         with pytest.raises(InvalidMessage, match=kind_of_limit) as refused:
-            world.add_body(breakable_body()._replace(body_id=9, fragment_id=90))
+            world.add_body(BAR._replace(body_id=9, fragment_id=90))
         assert refused.value.kind == "limit_exceeded"
     world.change_settings(START._replace(max_nodes=2 * nodes))
-    world.add_body(breakable_body()._replace(body_id=9, fragment_id=90))
+    world.add_body(BAR._replace(body_id=9, fragment_id=90))
     assert 90 in world.fragments().fragment_ids
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles.fracture_patterns import voronoi_event
-from oracles.fragmented_body import FragmentedBody
 from worlds.gate_world import BRICK, crack, plane, record_bytes, rigid, sphere, tetrahedral
 
+from fracture_collision import fracture
 from fracture_collision.core.bodies import collision_geometry
 from fracture_collision.core.bodies.body_validator import validate_body
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
@@ -124,21 +123,16 @@ def test_reclaiming_memory_does_not_change_answers(
     monkeypatch.setattr(CollisionGeometry, "is_mostly_garbage", lambda self: True)
     twins = Twins(settings)
     twins.add(breakable(20), tetrahedral(1), plane(2), rigid(3), box(4), breakable(5), sphere(6), rigid(7))
-    oracles = {n: FragmentedBody(BALL.vertices, BALL.tetrahedra) for n in (5, 20)}
-    random, next_id = np.random.default_rng(4), 100
+    largest = {5: 5, 20: 20}  # a fragment by body
+    events = twins.events
 
     def break_body(number: int) -> None:
-        nonlocal next_id
-        oracle = oracles[number]
-        ids, counts = np.unique(oracle.labels, return_counts=True)
-        victim = int(ids[np.argmax(counts)])
-        inside = BALL.vertices[oracle.labels == victim]
-        seeds = random.uniform(inside.min(axis=0), inside.max(axis=0), (3, 3))
-        event = voronoi_event(oracle, victim, seeds, next_id, len(twins.events) + 1)
-        oracle.apply(event)
-        own = lambda ids: np.where(ids == 1, number, ids)  # noqa: E731 - the oracle's whole body is fragment 1
-        twins.add_event(event._replace(body_id=number, fragment_id=int(own(np.array(event.fragment_id)))))
-        next_id += len(event.new_fragment_ids)
+        first = 100 * (len(events) + 10)
+        event = fracture.voronoi(
+            breakable(number), 3, len(events), fragment_id=largest[number], after=events, first_new_id=first
+        )
+        twins.add_event(event)
+        largest[number] = int(event.new_fragment_ids[np.bincount(event.node_fragments).argmax()])
 
     twins.add_event(crack(1, 1, (10, 11), 0.1))
     break_body(5)
@@ -155,9 +149,8 @@ def test_reclaiming_memory_does_not_change_answers(
             assert twins.agree() > 0
         twins.add(box(200 + number), rigid(300 + number), tetrahedral(400 + number))
         assert twins.agree() > 0
-    registry = twins.world._registry
-    rows = [registry.row_of(f) for f in np.unique(oracles[5].labels).tolist()]
-    validate_body(registry.geometry, rows)
+    registry, told = twins.world._registry, twins.world.fragments()
+    validate_body(registry.geometry, [registry.row_of(f) for f in told.fragment_ids[told.body_ids == 5].tolist()])
 
 
 def test_added_and_removed_balls_leave_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,21 +167,21 @@ def test_added_and_removed_balls_leave_no_memory(monkeypatch: pytest.MonkeyPatch
     assert len(world._registry.geometry._meshes) <= 3
 
 
-def test_a_shared_mesh_stays_as_long_as_one_body_has_it() -> None:
+def test_a_shared_mesh_stays_as_long_as_one_body_has_it(monkeypatch) -> None:
+    monkeypatch.setattr(CollisionGeometry, "is_mostly_garbage", lambda self: True)
     twins = Twins()
     twins.add(breakable(1), breakable(2), plane(3))
     twins.agree()
     twins.add(removal(1))
     twins.agree()
     geometry = twins.world._registry.geometry
-    before = geometry._garbage
     twins.add(breakable(4))
     twins.agree()
     assert len(geometry._meshes) == 1
     for number in (2, 4):
         twins.add(removal(number))
     twins.world.fragments()
-    assert geometry._garbage > before + BALL.vertices.nbytes
+    assert not geometry._meshes
     twins.add(breakable(5))
     assert twins.agree() > 0
 

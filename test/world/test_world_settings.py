@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 
 import pytest
-from worlds.gate_world import REFERENCE, made_world
 
 from fracture_collision.core.fracture import crack_surfaces
 from fracture_collision.world import CollisionWorld, PaperSettings, Settings
-from fracture_collision.world.settings import OF_SERVICE, RANGES, for_step, meaning, settings_text
+from fracture_collision.world.settings import for_step, settings_text
 from fracture_collision.world.warm_up import compile_kernels
 
 
@@ -40,28 +39,11 @@ def test_a_setting_without_effect_is_rejected() -> None:
     assert for_step(0.01, {}).lookahead == 0.01 and for_step(0.01, {"lookahead": 0.0}).lookahead == 0.0
 
 
-def test_there_are_few_settings_each_with_its_meaning() -> None:
-    assert len(OF_SERVICE) <= 14
-    assert set(OF_SERVICE) == RANGES.keys() | {"method"}
-    assert all(len(meaning(name)) > 10 for name in OF_SERVICE)
-
-
 def test_the_warm_up_compiles_what_only_a_second_fracture_needs() -> None:
     said: list[str] = []
     compile_kernels(said.append)
     assert len(said) == 3
     assert crack_surfaces.rebuild_surfaces.signatures
-
-
-def test_answers_and_registries_say_what_they_were_made_with() -> None:
-    world = made_world(Settings(threads=1, lookahead=0.02))
-    assert world.contacts(REFERENCE).lookahead == world.contacts(REFERENCE._replace(step=9)).lookahead == 0.02
-    told = json.loads(world.fragments().settings)
-    assert told["lookahead"] == 0.02 and told["method"] == "exact" and told["contacts_per_pair"] == 8
-    world.change_settings(Settings(threads=1, method="glondu2014"))
-    assert world.contacts(REFERENCE).lookahead == 0.0
-    told = json.loads(world.fragments().settings)
-    assert told["method"] == "glondu2014" and told["paper"] == PaperSettings()._asdict()
 
 
 def test_equal_settings_have_equal_texts() -> None:

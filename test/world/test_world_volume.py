@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles.fragmented_body import FragmentedBody
-from worlds.gate_world import BRICK, EDGES, SETTINGS, X, crack, made_world, refused, tetrahedral
+from worlds.gate_world import SETTINGS, crack, made_world, refused, tetrahedral
 from worlds.hard_worlds import by_labels, lattice_planes
 
-from fracture_collision.core.mesh.connected_pieces import connected_pieces
 from fracture_collision.geometry.generators import brick
 from fracture_collision.records import CollisionBody, FractureEvent, FragmentStates
 from fracture_collision.world import CollisionWorld, InvalidMessage
@@ -55,38 +54,6 @@ def test_a_layer_between_an_older_crack_and_a_new_one_through_the_same_nodes() -
         world.add_fracture(moved(INNER, 0.25))
     world.add_fracture(INNER)
     assert masses(world, 2, [10, 12, 13])[12] == pytest.approx(1000.0 * 0.05 * 0.25)
-
-
-def test_random_parts_with_planes_through_nodes_have_volume_or_are_rejected() -> None:
-    random, refusals, accepted = np.random.default_rng(5), 0, 0
-    for _ in range(40):
-        seeds = random.uniform(-0.5, 0.5, (random.integers(2, 12), 3))
-        near = np.argmin(np.linalg.norm(BRICK.vertices[:, None] - seeds, axis=2), axis=1)
-        parts = np.unique(connected_pieces(EDGES, near), return_inverse=True)[1]
-        cut = EDGES[parts[EDGES[:, 0]] != parts[EDGES[:, 1]]]
-        ends = BRICK.vertices[cut]
-        normals = ends[:, 1] - ends[:, 0]
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        through = ends[np.arange(len(cut)), (random.random(len(cut)) < 0.7).astype(int)]
-        planes = np.column_stack([normals, (normals * through).sum(axis=1)])
-        count = int(parts.max()) + 1
-        if count < 2:
-            continue
-        world = CollisionWorld(SETTINGS)
-        world.add_body(tetrahedral(1))
-        ids = np.arange(10, 10 + count)
-        event = FractureEvent(1, 1, 1, ids, np.arange(len(X)), parts, cut.ravel(), planes.ravel())
-        try:
-            world.add_fracture(event)
-        except InvalidMessage as refusal:
-            assert refusal.kind == "no_volume"
-            assert masses(world, 0, [1]) == {1: pytest.approx(250.0)}
-            refusals += 1
-        else:
-            found = masses(world, 1, ids.tolist())
-            assert min(found.values()) > 0.0 and sum(found.values()) == pytest.approx(250.0)
-            accepted += 1
-    assert refusals > 5 and accepted > 5
 
 
 def test_fragments_without_volume_by_the_oracle_are_rejected() -> None:

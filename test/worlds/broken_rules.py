@@ -28,7 +28,7 @@ from worlds.gate_world import (
     tetrahedral,
     with_entry,
 )
-from worlds.rigid_shapes import RigidShape, cube, hollow_box
+from worlds.rigid_shapes import RigidShape, cube, hollow_box, together
 
 NAN, INF = np.nan, np.inf
 
@@ -43,17 +43,9 @@ OPEN_CUBE = TRI._replace(triangles=TRI.triangles[3:])
 HOLLOW = hollow_box()
 
 
-def joined(*shapes: RigidShape) -> RigidShape:
-    starts = np.cumsum([0] + [len(s.vertices) for s in shapes])
-    return RigidShape(
-        np.concatenate([s.vertices for s in shapes]),
-        np.concatenate([s.triangles + n for s, n in zip(shapes, starts, strict=False)]),
-    )
-
-
 def corner_to_corner() -> RigidShape:
     """Two cubes that share one vertex."""
-    apart = joined(CUBE, CUBE._replace(vertices=CUBE.vertices + 1.0))
+    apart = together(CUBE, CUBE._replace(vertices=CUBE.vertices + 1.0))
     shared = int(np.argmin(np.abs(apart.vertices[8:] - 0.5).sum(axis=1))) + 8
     mine = int(np.argmin(np.abs(apart.vertices[:8] - 0.5).sum(axis=1)))
     triangles = np.where(apart.triangles == shared, mine, apart.triangles)
@@ -143,10 +135,12 @@ BODIES = {
         TRI._replace(vertices=with_entry(TRI.vertices, slice(0, 3), TRI.vertices[3:6])), "bad_mesh", "has no area"
     ),
     "surface vertex unused": (TRI._replace(vertices=np.append(TRI.vertices, [2.0, 2.0, 2.0])), "bad_mesh", "vertices"),
-    "two solids": (rigid(20, joined(CUBE, CUBE._replace(vertices=CUBE.vertices + 3.0))), "bad_mesh", "separate"),
+    "two solids": (rigid(20, together(CUBE, CUBE._replace(vertices=CUBE.vertices + 3.0))), "bad_mesh", "separate"),
     "solids that share a vertex": (rigid(20, corner_to_corner()), "bad_mesh", "touches itself in vertex"),
     "cavity outside": (
-        rigid(20, joined(CUBE, RigidShape(0.5 * CUBE.vertices + 3.0, CUBE.triangles[:, ::-1]))), "bad_mesh", "no cavity"
+        rigid(20, together(CUBE, RigidShape(0.5 * CUBE.vertices + 3.0, CUBE.triangles[:, ::-1]))),
+        "bad_mesh",
+        "no cavity",
     ),
     "sequence negative": (TET._replace(sequence=-1), "out_of_range", "sequence"),
     "remove unknown": (CollisionBody(99, 99, operation=REMOVE), "unknown_id", "body_id"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -69,14 +69,15 @@ def fractured_world(
     curved: bool = False,
     settings: Settings = SETTINGS,
     seed: int = 3,
+    make: Callable[..., FractureEvent] | None = None,
 ) -> FracturedWorld:
-    """Break a body, then the largest fragment again, and so on."""
+    """Break a body, then the largest fragment again, and so on, by `make`, else as `curved` says."""
     random = np.random.default_rng(seed)
     world, oracle = CollisionWorld(settings), FragmentedBody(body.vertices, body.tetrahedra)
     bodies = [CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel(), density=DENSITY)]
     events: list[FractureEvent] = []
     world.add_body(bodies[0])
-    make = curved_event if curved else voronoi_event
+    make = make or (curved_event if curved else voronoi_event)
     next_id, victim = 2, 1
     for generation in range(generations):
         inside = body.vertices[oracle.labels == victim]

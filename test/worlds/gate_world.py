@@ -83,6 +83,11 @@ def record_bytes(record) -> bytes:
     return b"|".join(np.asarray(field).tobytes() for field in record)
 
 
+def assert_same_bytes(own, other, *where) -> None:
+    for name, a, b in zip(own._fields, own, other, strict=True):
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes(), (*where, name)
+
+
 def observed(world: CollisionWorld) -> tuple[bytes, bytes]:
     """The observable state: the current registry and the answer to a reference state."""
     return record_bytes(world.fragments()), record_bytes(world.contacts(REFERENCE))

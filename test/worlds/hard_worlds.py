@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from oracles.brute_force import distances
 from oracles.fracture_patterns import CrackPlane, event_of_labels
-from oracles.fragmented_body import FragmentedBody
+from oracles.fragmented_body import FragmentedBody, uniform_points
 from test_contacts_truth import FRAMES
 from test_exact_field import assert_equal, compare
 from test_fragment_bounds import assert_kept, check_fragments
@@ -41,9 +41,14 @@ def tetrahedral_body(body: TetGeometry, number: int = 1, **fields) -> CollisionB
     )._replace(**fields)
 
 
-def broken_world(body: TetGeometry, makers: Iterable[EventMaker], settings: Settings = SETTINGS) -> FracturedWorld:
+def broken_world(
+    body: TetGeometry,
+    makers: Iterable[EventMaker],
+    settings: Settings = SETTINGS,
+    kind: type[CollisionWorld] = CollisionWorld,
+) -> FracturedWorld:
     """The service's world and the slow oracle after the events of `makers`, in turn."""
-    world, oracle = CollisionWorld(settings), FragmentedBody(body.vertices, body.tetrahedra)
+    world, oracle = kind(settings), FragmentedBody(body.vertices, body.tetrahedra)
     message = tetrahedral_body(body)
     world.add_body(message)
     events: list[FractureEvent] = []
@@ -104,10 +109,7 @@ def lattice_planes(vertices: np.ndarray, seed: int) -> CrackPlane:
 
 def anywhere(case: FracturedWorld, count: int, seed: int) -> np.ndarray:
     """Points (count, 3) [m] distributed uniformly over the body."""
-    random = np.random.default_rng(seed)
-    volumes = tetrahedron_volumes(case.oracle.vertices, case.oracle.tetrahedra)
-    tets = case.oracle.tetrahedra[random.choice(len(volumes), count, p=volumes / volumes.sum())]
-    return np.einsum("nij,ni->nj", case.oracle.vertices[tets], random.dirichlet(np.ones(4), count))
+    return uniform_points(case.oracle.vertices, case.oracle.tetrahedra, count, np.random.default_rng(seed))
 
 
 def fragments_with(case: FracturedWorld, points: np.ndarray) -> np.ndarray:

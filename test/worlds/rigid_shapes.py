@@ -79,6 +79,14 @@ def torus(major: float = 1.0, minor: float = 0.35, around: int = 40, across: int
     return RigidShape(vertices, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
 
 
+def together(*shapes: RigidShape) -> RigidShape:
+    first = np.cumsum([0] + [len(shape.vertices) for shape in shapes])
+    return RigidShape(
+        np.concatenate([shape.vertices for shape in shapes]),
+        np.concatenate([shape.triangles + begin for shape, begin in zip(shapes, first, strict=False)]),
+    )
+
+
 def noisy_ball(seed: int = 8) -> RigidShape:
     """A ball with bumps and spikes: sharp convex and concave edges and corners everywhere."""
     shape = boundary_of(ball(1.0, 0.2))
@@ -89,14 +97,14 @@ def noisy_ball(seed: int = 8) -> RigidShape:
 def true_distance(shape: RigidShape, points: np.ndarray) -> np.ndarray:
     """Signed distance (n,) [m], positive outside, over all triangles."""
     distance, _ = nearest_on_triangles(points, shape.corners)
-    return np.where(winding_number(shape, points) > 0.5, -distance, distance)
+    return np.where(winding_number(shape.corners, points) > 0.5, -distance, distance)
 
 
-def winding_number(shape: RigidShape, points: np.ndarray) -> np.ndarray:
-    """The solid angles of all triangles, in turns: 1 inside, 0 outside (van Oosterom, Strackee 1983)."""
+def winding_number(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The solid angles of all triangles (t, 3, 3), in turns: 1 inside, 0 outside (van Oosterom, Strackee 1983)."""
     result = np.empty(len(points))
     for i, x in enumerate(points):
-        a, b, c = (shape.corners[:, k] - x for k in range(3))
+        a, b, c = (corners[:, k] - x for k in range(3))
         la, lb, lc = (np.sqrt((v * v).sum(axis=1)) for v in (a, b, c))
         above = np.linalg.det(np.stack([a, b, c], axis=1))
         below = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb

@@ -8,8 +8,7 @@ from fracture_collision.core.edges.ridges import NO_RIDGES
 from fracture_collision.core.lookahead.motion import Motion
 from fracture_collision.core.memory.pair import Step
 from fracture_collision.core.pair.narrow_phase import Scene
-from fracture_collision.core.pair.pair_search import Geometry
-from fracture_collision.core.patches.shapes import NO_SHAPES
+from fracture_collision.core.patches.shapes import NO_SHAPES, Geometry
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 from worlds.fractured_worlds import FracturedWorld, with_messages

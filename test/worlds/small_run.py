@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, TypeVar
+
 import numpy as np
 from oracles.fracture_patterns import curved_event
 from oracles.fragmented_body import ORIGINAL, FragmentedBody
@@ -9,7 +11,12 @@ from oracles.fragmented_body import ORIGINAL, FragmentedBody
 from fracture_collision.geometry.generators import brick
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentMesh, FragmentStates, SolidPrimitive
 
-BREAKS_AT = 30
+if TYPE_CHECKING:
+    from fracture_collision.viewer.page.page import Page
+
+BREAKS_AT, BREAKS = 30, 3  # the step and the body
+
+Kind = TypeVar("Kind")
 
 
 def fragment_mesh(body: FragmentedBody, fragment_id: int) -> FragmentMesh:
@@ -34,8 +41,8 @@ def small_run(with_meshes: bool = True, steps: int = 60) -> list[tuple[float, ob
         (0.0, CollisionBody(4, 4, name="other brick", **tets)),
         (0.0, CollisionBody(5, 5, name="ball", primitive=SolidPrimitive(SPHERE, (0.1,)))),
     ]
-    body = FragmentedBody(*mesh, fragment_id=3)
-    event = curved_event(body, 3, np.random.default_rng(4).uniform(-0.2, 0.2, size=(4, 3)), 6, body_id=3)
+    body = FragmentedBody(*mesh, fragment_id=BREAKS)
+    event = curved_event(body, BREAKS, np.random.default_rng(4).uniform(-0.2, 0.2, size=(4, 3)), 6, body_id=BREAKS)
     pieces = event.new_fragment_ids.tolist()
     for step in range(steps):
         time, broken = step * 0.02, step >= BREAKS_AT
@@ -52,3 +59,19 @@ def small_run(with_meshes: bool = True, steps: int = 60) -> list[tuple[float, ob
         )
         records.append((time, states))
     return records
+
+
+def records_of(kind: type[Kind]) -> list[Kind]:
+    return [record for _, record in small_run() if isinstance(record, kind)]
+
+
+def show(page: Page, step: int = 0, with_meshes: bool = False, shift: float = 0.0) -> None:
+    """Shows all bodies at a step, `shift` [m] to the right of where they are in the run."""
+    for body in records_of(CollisionBody):
+        page.add_body(body)
+    for mesh in records_of(FragmentMesh) if with_meshes else ():
+        page.add_fragment(mesh, BREAKS)
+    states = records_of(FragmentStates)[step]
+    aside = np.tile([shift, 0.0, 0.0], len(states.fragment_ids))
+    page.show_states(states._replace(positions=states.positions + aside))
+    page.flush()

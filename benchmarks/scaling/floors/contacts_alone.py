@@ -17,8 +17,8 @@ from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.pair import Sink, Step, make_sink, put_pair
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.pair.narrow_phase import Scene, query_pairs
-from fracture_collision.core.pair.pair_search import Geometry
 from fracture_collision.core.patches.interlocked import SurfaceTable
+from fracture_collision.core.patches.shapes import Geometry
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.records import ContactConstraintArray, FragmentStates

@@ -134,11 +134,11 @@ def _timed(functions: Iterable[tuple[ModuleType, str]]) -> Iterator[list[float]]
 
 def _columns(service: CollisionWorld) -> Iterator[tuple[str, np.ndarray]]:
     """All columns of the service's pools."""
-    for pool, rows in service._registry.geometry.pools._asdict().items():
-        if isinstance(rows, np.ndarray):
-            yield pool, rows
-        elif isinstance(rows, tuple):
-            for name, column in rows._asdict().items():
+    pools = service._registry.geometry.pools
+    yield "occupancy", pools.occupancy
+    for pool in ("mesh", "body", "fragment", "samples", "triangles", "seeds"):
+        for name, column in vars(getattr(pools, pool)).items():
+            if not name.startswith("_"):
                 yield f"{pool}.{name}", column
 
 

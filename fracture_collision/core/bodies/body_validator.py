@@ -42,6 +42,7 @@ def validate_body(geometry: CollisionGeometry, rows: Sequence[int]) -> None:
     fragment's volume and lies in its box and cells and in the hull of its samples; its leaves hold every
     sample once; the volumes add up to the body's.
     """
+    geometry.validate()
     pools = geometry.pools
     tets = np.array(geometry.tet_range(rows[0]))
     _validate_labels(pools, rows, tets)

@@ -1,105 +1,75 @@
-"""The memory behind the pools: one growable table per pool, and methods that append structures to several columns."""
+"""All tables of a world, and what appends to several of their columns."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 
 from fracture_collision.core.memory.kinds import TETRAHEDRA
 from fracture_collision.core.memory.pools import (
-    LEAF,
-    LEAF_VALUES,
-    REGION,
+    SAMPLES_OF_WHOLE,
     BodyPool,
     FragmentPool,
-    GrowableArray,
+    Measures,
     MeshPool,
     Pools,
     SamplePool,
     SeedPool,
     TriangleMeshPool,
+    Whole,
+    WholeSurface,
 )
+from fracture_collision.core.memory.struct import Struct
+from fracture_collision.core.memory.tables import GrowableArray, Table
 from fracture_collision.core.mesh.tet_mesh import TetMesh
+from fracture_collision.core.patches.shapes import Geometry
 from fracture_collision.core.samples.sample_leaves import fill_leaves, leaf_count
 
 
+class _World(Struct):
+    geometry: Geometry
+    measures: Measures
+    whole: Whole
+    whole_surface: WholeSurface
+
+
 class PoolTables:
-    """Columns of each pool by name, growing at their ends."""
+    """The tables by name. Those of ridges and shapes stay empty for the method of the paper."""
 
     def __init__(self) -> None:
-        f8, f4, i4, u1, u8 = np.float64, np.float32, np.int32, np.uint8, np.uint64
-        self.mesh = self._table(
-            nodes=(3, f8), tetrahedra=(4, i4), neighbours=(4, i4), tetrahedron_edges=(6, i4), edges=(2, i4),
-            edge_tets=(0, i4), boxes=(6, f4), barycentric=(12, f8), walls=(16, f4), moments=(10, f8),
-            on_surface=(0, u1), node_normals=(3, f8), node_tets_begin=(0, i4), node_tets=(0, i4), first=(5, i4),
-            grid=(4, f8), grid_dims=(4, i4), cell_begin=(0, i4), cell_tets=(0, i4), cell_parts=(0, u8),
-        )  # fmt: skip
-        self.body = self._table(
-            node_fragment=(0, i4), edge_plane=(0, i4), edge_event=(0, i4), edge_share=(0, f8), regions=(REGION, i4),
-            cut_count=(0, i4), planes=(4, f8), triangles=(9, f8), faces=(4, f8),
-            sides=(4, i4),
-        )  # fmt: skip
-        self.fragment = self._table(
-            kind=(0, i4), mesh=(0, i4), node_shift=(0, i4), tet_shift=(0, i4), edge_shift=(0, i4), box=(6, f8),
-            shape=(4, f8), radius=(0, f8), sample_begin=(0, i4), sample_end=(0, i4), cells=(7, i4),
-            seeds=(2, i4), leaf_begin=(0, i4), leaf_end=(0, i4), middle=(4, f8),
-        )  # fmt: skip
-        self.samples = self._table(points=(3, f8), numbers=(0, i4))
-        self.leaves = self._table(values=(LEAF_VALUES, f4), entries=(LEAF, i4))
-        self.triangles = self._table(
-            corners=(9, f8), features=(6, i4), pseudonormals=(3, f8), node_box=(6, f8), node_skip=(0, i4),
-            node_first=(0, i4), node_count=(0, i4), node_range=(2, i4), triangle_range=(2, i4),
-            first_vertex=(0, i4),
-        )  # fmt: skip
-        self.seeds = self._table(keys=(0, np.int64), ranges=(2, i4), edges=(0, i4))
-        self.occupancy = GrowableArray(0, u8, self._changed)
-        self._pools: Pools | None = None
-        self._roomy: Pools | None = None
-
-    def _table(self, **columns: tuple[int, type]) -> dict[str, GrowableArray]:
-        return {name: GrowableArray(width, dtype, self._changed) for name, (width, dtype) in columns.items()}
-
-    def _changed(self, moved: bool) -> None:
-        self._pools = None
-        if moved:
-            self._roomy = None
+        self.all: Table[_World] = Table(_World)
+        self.geometry: Table[Geometry] = self.all.tables["geometry"]
+        self.measures: Table[Measures] = self.all.tables["measures"]
+        self.whole: Table[Whole] = self.all.tables["whole"]
+        self.whole_surface: Table[WholeSurface] = self.all.tables["whole_surface"]
+        self.ridges, self.shapes = self.geometry.tables["edges"], self.geometry.tables["shapes"]
+        pools: Table[Pools] = self.geometry.tables["pools"]
+        self._pools, of = pools, pools.tables
+        self.mesh: Table[MeshPool] = of["mesh"]
+        self.body: Table[BodyPool] = of["body"]
+        self.fragment: Table[FragmentPool] = of["fragment"]
+        self.samples: Table[SamplePool] = of["samples"]
+        self.triangles: Table[TriangleMeshPool] = of["triangles"]
+        self.seeds: Table[SeedPool] = of["seeds"]
 
     @property
     def pools(self) -> Pools:
-        """The pools as kernels read them: views of all columns, cached until a column changes."""
-        if self._pools is None:
-            self._pools = self._pools_of(lambda column: column.view)
-        return self._pools
+        """The pools as kernels read them: the same until a column changes."""
+        return self._pools.view
 
     @property
     def roomy(self) -> Pools:
-        """`pools` with the spare capacity behind each column's rows, for kernels that write there.
+        """`pools` with the spare capacity behind each column's rows: the same until a column is reallocated."""
+        return self._pools.whole
 
-        It stays the same until a column is reallocated.
-        """
-        if self._roomy is None:
-            self._roomy = self._pools_of(lambda column: column.whole)
-        return self._roomy
-
-    def _pools_of(self, rows: Callable[[GrowableArray], np.ndarray]) -> Pools:
-        mesh, body, fragment, samples, triangles, seeds = (
-            {name: rows(column) for name, column in pool.items()}
-            for pool in (self.mesh, self.body, self.fragment, self.samples, self.triangles, self.seeds)
-        )
-        leaves = {name: rows(column).reshape(-1) for name, column in self.leaves.items()}
-        return Pools(
-            MeshPool(**mesh), BodyPool(**body, region_planes=body["regions"].view(np.float32)),
-            FragmentPool(**fragment), SamplePool(**samples, **leaves), rows(self.occupancy),
-            TriangleMeshPool(**triangles), SeedPool(**seeds),
-        )  # fmt: skip
+    @property
+    def occupancy(self) -> GrowableArray:
+        """The column of Pools.occupancy."""
+        return self._pools["occupancy"]
 
     @property
     def bytes_used(self) -> int:
-        """Bytes of all rows in the pools, without spare capacity."""
-        pools = (self.mesh, self.body, self.fragment, self.samples, self.leaves, self.triangles, self.seeds)
-        columns = [column for pool in pools for column in pool.values()]
-        return sum(column.used * column.row_bytes for column in (*columns, self.occupancy))
+        """Bytes of all rows, without spare capacity."""
+        return self.all.bytes_used
 
     def moment_origins(self, rows: np.ndarray) -> np.ndarray:
         """(n, 3) [m] points that the moments of fragments `rows` (n,), of tetrahedra or triangles, are about."""
@@ -109,23 +79,22 @@ class PoolTables:
         origins[is_tetrahedral] = self.mesh["grid"].view[grids, :3]
         return origins
 
-    def append_samples(self, points: np.ndarray, numbers: np.ndarray) -> tuple[int, int, np.ndarray]:
-        """Append the samples (s, 3) [m] of one fragment, and their leaves; numbers (s,): sample_numbers.py.
-
-        Returns (first sample, first leaf, middle (4,) of the Leaves).
-        """
-        count, middles = leaf_count(len(points)), np.empty((1, 4))
-        values, entries = self.leaves["values"].reserve(count), self.leaves["entries"].reserve(count)
+    def append_samples(self, points: np.ndarray, numbers: np.ndarray) -> dict[str, np.ndarray]:
+        """Append samples (s, 3) [m] with `numbers` (s,), and their leaves; returns SAMPLES_OF_WHOLE, a row each."""
+        leaves, middles = leaf_count(len(points)), np.empty((1, 4))
+        values, entries = (self.samples[name].reserve(leaves) for name in ("values", "entries"))
         fill_leaves(np.ascontiguousarray(points), np.array([0, len(points)]), values, entries, middles)
-        first = self.leaves["values"].advance(count)
-        self.leaves["entries"].advance(count)
+        leaf = self.samples["values"].advance(leaves)
+        self.samples["entries"].advance(leaves)
         self.samples["numbers"].append(numbers)
-        return self.samples["points"].append(points), first, middles[0]
+        begin = self.samples["points"].append(points)
+        rows = (np.array([row]) for row in (begin, begin + len(points), leaf, leaf + leaves))
+        return dict(zip(SAMPLES_OF_WHOLE, (*rows, middles), strict=True))
 
-    def append_mesh(self, mesh: TetMesh) -> tuple[int, int, int, int]:
-        """Append a mesh; returns its row in `grid`, and its first node, tetrahedron and edge."""
+    def append_mesh(self, mesh: TetMesh) -> int:
+        """Append a mesh; returns its row."""
         table = self.mesh
-        index, node, tet, edge = table["grid"].used, table["nodes"].used, table["tetrahedra"].used, table["edges"].used
+        node, tet, edge = table["nodes"].used, table["tetrahedra"].used, table["edges"].used
         first_cell = table["cell_begin"].used
         # Indices become absolute. The first mesh needs no shift, so its arrays are shared with the preprocess: this
         # halves the memory of a world with one mesh.
@@ -140,6 +109,5 @@ class PoolTables:
                 rows = np.where(rows < 0, -1, rows + shift)
             table[name].share(rows)
         table["first"].append(np.array([[node, edge, len(mesh.nodes), tet, len(mesh.edges)]], np.int32))
-        table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])
         table["grid_dims"].append(np.append(mesh.grid_dims, first_cell)[None])
-        return index, node, tet, edge
+        return table["grid"].append(np.append(mesh.grid_origin, mesh.grid_cell)[None])

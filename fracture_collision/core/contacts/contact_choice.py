@@ -20,7 +20,7 @@ from fracture_collision.core.contacts.known_samples import (
     side_of,
 )
 from fracture_collision.core.field.elementary_queries import NEAR
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 # Columns of scratch.node_int, node_float and spread, for candidate samples.
 ENTRY, SIDE, NUMBER, ANSWER = 0, 1, 2, 3
@@ -42,13 +42,13 @@ class Rule(NamedTuple):
     every: int = 1  # of the samples that may be near, one in so many is queried (work_limit.py)
 
 
-@inlined_kernel
+@query_kernel
 def way_out_of_box(box, x, y, z):
     """Distance [m] from a point to the nearest side of the box (6,) around it: an upper bound on its depth."""
     return min(x - box[0], y - box[1], z - box[2], box[3] - x, box[4] - y, box[5] - z)
 
 
-@inlined_kernel
+@query_kernel
 def keep(pools, side, entry, sample, distance, deep, k, scratch):
     """Store a Placed sample of a Side as candidate k, without an answer.
 
@@ -64,7 +64,7 @@ def keep(pools, side, entry, sample, distance, deep, k, scratch):
     scratch.spread[MOST_DEPTH, k] = deep
 
 
-@inlined_kernel
+@query_kernel
 def keep_answer(answer, k, sample, scratch):
     """Store the Probe of a Placed sample, candidate k, as final."""
     node = scratch.node_int[k]
@@ -72,7 +72,7 @@ def keep_answer(answer, k, sample, scratch):
     put_contact(scratch.kept, np.int64(k), np.int64(node[SIDE]), sample.number, (sample.x, sample.y, sample.z), answer)
 
 
-@inlined_kernel
+@query_kernel
 def is_final(answer, looked, rule):
     """Whether put_chosen would get the same Probe as this search, which covered `looked` [m] from outside.
 
@@ -82,7 +82,7 @@ def is_final(answer, looked, rule):
     return answer.status == NEAR and looked == rule.near
 
 
-@inlined_kernel
+@query_kernel
 def choose(rule, count, scratch):
     """Choose which of `count` near samples to list, where at most rule.wanted are deeper than epsilon.
 
@@ -128,7 +128,7 @@ def choose(rule, count, scratch):
     return rule.wanted, missed
 
 
-@inlined_kernel
+@query_kernel
 def _see_chosen(chosen, end, scratch):
     """Update how far the samples up to `end` are from the chosen ones; the last chosen is row `chosen`."""
     point, far = scratch.node_float, scratch.spread[FAR]
@@ -138,20 +138,20 @@ def _see_chosen(chosen, end, scratch):
         far[k] = min(far[k], dx * dx + dy * dy + dz * dz)
 
 
-@inlined_kernel
+@query_kernel
 def _worth(rule, distance, far):
     """Score. far [m2]: squared distance of a sample from the chosen ones; distance [m]: to the other's surface."""
     return far * (rule.near + min(-distance, rule.epsilon)) ** 2
 
 
-@inlined_kernel
+@query_kernel
 def is_before(scratch, i, j):
     """Whether candidate i precedes candidate j in the order by side and sample."""
     one, other = scratch.node_int[i], scratch.node_int[j]
     return one[SIDE] < other[SIDE] or (one[SIDE] == other[SIDE] and one[NUMBER] < other[NUMBER])
 
 
-@inlined_kernel
+@query_kernel
 def swap(scratch, i, j):
     """Swap candidates i and j in scratch."""
     node, point, spread = scratch.node_int, scratch.node_float, scratch.spread
@@ -163,7 +163,7 @@ def swap(scratch, i, j):
         spread[c, i], spread[c, j] = spread[c, j], spread[c, i]
 
 
-@inlined_kernel
+@query_kernel
 def put_chosen(pools, pair, near, slack, sink, count, scratch):
     """Write the first `count` candidates of a Pair to a Sink as contacts, sorted by side and sample.
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.contacts.known_samples import ID_SAMPLE, ID_SIDE
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 
 class WorldContacts(NamedTuple):
@@ -27,7 +27,7 @@ def make_world_contacts(n: int) -> WorldContacts:
     )
 
 
-@inlined_kernel
+@query_kernel
 def put_in_world(step, p, sink, c, out, o):
     """Write contact `c` of a Sink, found for pair `p` of a Step, to row `o` of WorldContacts."""
     row, ids = sink.contacts[c], sink.ids[c]
@@ -48,7 +48,7 @@ def put_in_world(step, p, sink, c, out, o):
     samples[o, 0], samples[o, 1] = side, ids[ID_SAMPLE]
 
 
-@inlined_kernel
+@query_kernel
 def _to_world(rotation, position, x, y, z, out):
     for k in range(3):
         out[k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z + position[k]

@@ -26,7 +26,7 @@ from fracture_collision.core.contacts.contact_choice import (
 from fracture_collision.core.contacts.known_samples import ask_sample, placed, share_a_body, side_of
 from fracture_collision.core.field.elementary_queries import INSIDE
 from fracture_collision.core.field.flood import EVERYTHING, nearest_in_tetrahedron, nothing_within
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.heap import pop, push
 from fracture_collision.core.memory.kinds import is_mesh
 from fracture_collision.core.samples.sample_leaves import farthest_sample, leaves_of, nearest_sample
@@ -37,7 +37,7 @@ MOST_WAYS = 8
 SAMPLES_HELP = 0.02
 
 
-@inlined_kernel
+@query_kernel
 def may_wait(pools, other, rule, deep):
     """Whether the query of a sample in `other` may be deferred, with `deep` others deeper than epsilon.
 
@@ -46,7 +46,7 @@ def may_wait(pools, other, rule, deep):
     return deep > rule.wanted and is_mesh(pools.fragment.kind[other])
 
 
-@inlined_kernel
+@query_kernel
 def choose_deep(pools, pair, rule, slack, count, scratch):
     """contact_choice.choose where more than rule.wanted of the samples are deeper than epsilon.
 
@@ -80,7 +80,7 @@ def choose_deep(pools, pair, rule, slack, count, scratch):
     return chosen, bound
 
 
-@inlined_kernel
+@query_kernel
 def _line_up(rule, count, first, scratch):
     """Queue those of `count` samples that may be deeper than epsilon, except `first`, by their distance from it.
 
@@ -98,7 +98,7 @@ def _line_up(rule, count, first, scratch):
     return waiting
 
 
-@inlined_kernel
+@query_kernel
 def _farthest(pools, pair, rule, slack, count, chosen, waiting, scratch):
     """The queued sample farthest from the `chosen` ones.
 
@@ -137,14 +137,14 @@ def _farthest(pools, pair, rule, slack, count, chosen, waiting, scratch):
     return pick, waiting
 
 
-@inlined_kernel
+@query_kernel
 def _apart(point, i, j):
     """Squared distance of two samples [m2]."""
     dx, dy, dz = point[i, 0] - point[j, 0], point[i, 1] - point[j, 1], point[i, 2] - point[j, 2]
     return dx * dx + dy * dy + dz * dz
 
 
-@inlined_kernel
+@query_kernel
 def _is_deep(pools, pair, rule, slack, k, scratch):
     """Whether the k-th sample is deeper than epsilon."""
     side = side_of(pair, np.int64(scratch.node_int[k, SIDE]), share_a_body(pools, pair.a, pair.b), slack)
@@ -153,7 +153,7 @@ def _is_deep(pools, pair, rule, slack, k, scratch):
     return answer.status == INSIDE and answer.distance < -rule.epsilon
 
 
-@inlined_kernel
+@query_kernel
 def _find_deepest(pools, pair, slack, count, scratch):
     """Query those of the first `count` samples that may be the deepest; returns its depth [m].
 

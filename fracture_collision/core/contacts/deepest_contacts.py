@@ -6,12 +6,12 @@ For the order by depth, the first rows form a heap whose root comes last.
 from __future__ import annotations
 
 from fracture_collision.core.contacts.known_samples import ID_SAMPLE, ID_SIDE
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 GAP = 9  # column of contacts
 
 
-@inlined_kernel
+@query_kernel
 def _is_before(row, row_ids, other, other_ids):
     if row[GAP] != other[GAP]:
         return row[GAP] < other[GAP]
@@ -20,13 +20,22 @@ def _is_before(row, row_ids, other, other_ids):
     return row_ids[ID_SAMPLE] < other_ids[ID_SAMPLE]
 
 
-@inlined_kernel
+@query_kernel
 def swap_contacts(contacts, ids, i, j):
     """Swap rows i and j of contacts and ids, see Sink."""
     for c in range(contacts.shape[1]):
         contacts[i, c], contacts[j, c] = contacts[j, c], contacts[i, c]
     for c in range(ids.shape[1]):
         ids[i, c], ids[j, c] = ids[j, c], ids[i, c]
+
+
+@query_kernel
+def copy_contact(source, k, sink, c):
+    """Copy row k of a Sink, or of Results, to row c of a Sink."""
+    for column in range(sink.contacts.shape[1]):
+        sink.contacts[c, column] = source.contacts[k, column]
+    for column in range(sink.ids.shape[1]):
+        sink.ids[c, column] = source.ids[k, column]
 
 
 @query_kernel
@@ -57,7 +66,7 @@ def sort_heap(contacts, ids, count):
         _sift(contacts, ids, 0, end)
 
 
-@inlined_kernel
+@query_kernel
 def sort_by_sample(contacts, ids, count):
     """Sort the first `count` rows by side and sample; insertion sort, for few rows."""
     for i in range(1, count):

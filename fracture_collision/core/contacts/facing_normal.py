@@ -26,7 +26,7 @@ from fracture_collision.core.field.flood import (
     nearest_from_outside,
     source_normal,
 )
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import BOX, SPHERE, TRIANGLES, has_faces
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.mesh.closest_point import triangle_normal
@@ -75,7 +75,7 @@ def turn_contacts(pools, pair, near, sink, count, scratch):
             _turn_to_facing(pools, f, own, outward, near, row, scratch)
 
 
-@inlined_kernel
+@query_kernel
 def _turn_to_facing(pools, f, own, outward, near, row, scratch):
     """Turn a contact of a point of `own` with `f` to the nearest surface of f that faces the point, if that is near.
 
@@ -106,7 +106,7 @@ def _turn_to_facing(pools, f, own, outward, near, row, scratch):
     row[9] = gap
 
 
-@inlined_kernel
+@query_kernel
 def own_normal(pools, f, sample, x, y, z):
     """Outward normal of f's own surface at one of its samples, not unit; zeros if unknown.
 
@@ -132,14 +132,14 @@ def own_normal(pools, f, sample, x, y, z):
     return sum_of_planes(pools, f, ANYBODY, tetrahedron_of(first, sample))
 
 
-@inlined_kernel
+@query_kernel
 def _face_sign(x, half):
     if abs(x) < half * (1.0 - ON_BOX):
         return 0.0
     return 1.0 if x > 0.0 else -1.0
 
 
-@inlined_kernel
+@query_kernel
 def _nearest_facing(pools, f, inside, point, limit, toward, scratch):
     """Nearest point of f's surface, closer than `limit` [m], whose outward normal points against `toward`.
 
@@ -169,7 +169,7 @@ def _nearest_facing(pools, f, inside, point, limit, toward, scratch):
     return True, best[1], best[2], best[3], nx, ny, nz
 
 
-@inlined_kernel
+@query_kernel
 def _facing_side(half, x, y, z, limit, toward):
     """_nearest_facing for the six sides of a box of half edges `half` [m]."""
     best = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, Probe, bounded_probe
 from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.fracture.crack_seeds import find_seeds
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, is_bounded
 from fracture_collision.core.memory.pools import NEVER_BROKEN
 from fracture_collision.core.memory.rotations import to_other
@@ -32,7 +32,7 @@ COORDINATE_SLACK = 8.0 * np.finfo(np.float64).eps
 ID_SIDE, ID_SAMPLE, ID_SOURCE, ID_TETRAHEDRON, ID_AT = 0, 1, 2, 3, 4
 
 
-@inlined_kernel
+@query_kernel
 def _farthest(pools, f):
     """Largest coordinate [m] of fragment f's geometry in its body frame."""
     if not is_bounded(pools.fragment.kind[f]):
@@ -43,7 +43,7 @@ def _farthest(pools, f):
     return farthest
 
 
-@inlined_kernel
+@query_kernel
 def share_a_body(pools, a, b):
     """Whether two fragments come from one body that broke."""
     fragment = pools.fragment
@@ -65,7 +65,7 @@ class Side(NamedTuple):
     slack: float  # [m] rounding_slack of the pair
 
 
-@inlined_kernel
+@query_kernel
 def side_of(pair, number, one_body, slack):
     """The Side `number` of a Pair."""
     own, other = (pair.a, pair.b) if number == 0 else (pair.b, pair.a)
@@ -84,7 +84,7 @@ class Placed(NamedTuple):
     deep: float  # [m] bound on its depth: `moved` and the rounding
 
 
-@inlined_kernel
+@query_kernel
 def placed(pools, side, entry):
     """The Placed sample of row `entry` of SamplePool, a sample of this Side."""
     point, sample = pools.samples.points[entry], pools.samples.numbers[entry]
@@ -94,7 +94,7 @@ def placed(pools, side, entry):
     return Placed(np.int64(sample), x, y, z, np.int64(start), moved, moved + side.slack)
 
 
-@inlined_kernel
+@query_kernel
 def home_tetrahedron(pools, f, sample):
     """A tetrahedron of fragment f's mesh that holds the sample, or has it on a node or edge."""
     mesh, k = pools.mesh, pools.fragment.mesh[f]
@@ -108,14 +108,14 @@ def home_tetrahedron(pools, f, sample):
     return tetrahedron_of(first, sample)
 
 
-@inlined_kernel
+@query_kernel
 def moved_since(point, x, y, z):
     """Distance [m] of a point (3,) from its place in the unbroken body; (x, y, z): in the other's frame."""
     dx, dy, dz = x - point[0], y - point[1], z - point[2]
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@inlined_kernel
+@query_kernel
 def rounding_slack(pools, a, b, translation):
     """How much rounding may reduce the depth bound [m] of fragments a and b with relative translations (2, 3) [m]."""
     fragment = pools.fragment
@@ -126,7 +126,7 @@ def rounding_slack(pools, a, b, translation):
     return slack
 
 
-@inlined_kernel
+@query_kernel
 def put_contact(sink, row, side, sample, point, answer):
     """Write row `row` of a Sink from a side, a sample number, its point and the Probe of that point.
 
@@ -141,7 +141,7 @@ def put_contact(sink, row, side, sample, point, answer):
     ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT] = answer.source, answer.source_tetrahedron, answer.tetrahedron
 
 
-@inlined_kernel
+@query_kernel
 def ask_sample(pools, other, sample, near, deep, reached, scratch):
     """bounded_probe of a Placed sample, searched to `deep` [m].
 

@@ -22,7 +22,7 @@ from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, bounded_probe, inside_tetrahedron
 from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.field.tetrahedra_near import tetrahedra_near
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import SPHERE, TETRAHEDRA, TRIANGLES, is_mesh
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW
 from fracture_collision.core.mesh.closest_point import (
@@ -138,7 +138,7 @@ def sphere_contacts(pools, pair, rule, sink, scratch):
     return kept, bound, cut
 
 
-@inlined_kernel
+@query_kernel
 def _put(sink, at, number, sample, center, radius, place):
     """Write the contact at a Place to row `at`."""
     row, ids = sink.contacts[at], sink.ids[at]
@@ -151,7 +151,7 @@ def _put(sink, at, number, sample, center, radius, place):
     ids[ID_SOURCE], ids[ID_TETRAHEDRON], ids[ID_AT] = NO_SOURCE, -1, -1
 
 
-@inlined_kernel
+@query_kernel
 def _is_listed(contacts, count, place, one_place):
     """Whether one of `count` rows has its witness within `one_place` [m] of a Place."""
     for i in range(count):
@@ -212,7 +212,7 @@ def _place_of(pools, f, code, center, scratch):
     return Place(True, d, nx, ny, nz, qx, qy, qz)
 
 
-@inlined_kernel
+@query_kernel
 def _holds(pools, f, x, y, z, scratch):
     if pools.fragment.kind[f] == TETRAHEDRA:
         return inside_tetrahedron(pools, f, x, y, z) >= 0
@@ -220,7 +220,7 @@ def _holds(pools, f, x, y, z, scratch):
     return triangle_distance(pools.triangles, k, radius, x, y, z, scratch.stack)[0] < 0.0
 
 
-@inlined_kernel
+@query_kernel
 def _first_at(pools, f, point, scratch):
     """Number of the first triangle of f at a point of its surface; NO_TRIANGLE if the point is on none."""
     touches = TOUCHES * pools.fragment.radius[f]
@@ -228,7 +228,7 @@ def _first_at(pools, f, point, scratch):
     return NO_TRIANGLE if first == NO_SOURCE else _number(pools, f, first)
 
 
-@inlined_kernel
+@query_kernel
 def _number(pools, f, code):
     """Number of triangle `code` within its mesh: rows of the pools depend on the other contents."""
     k = pools.fragment.mesh[f]
@@ -237,7 +237,7 @@ def _number(pools, f, code):
     return code - ROWS_EACH * pools.mesh.first[k, FIRST_TETRAHEDRON]
 
 
-@inlined_kernel
+@query_kernel
 def _triangle(pools, f, code):
     """Corners of a triangle of f's surface and its outward unit normal."""
     if pools.fragment.kind[f] == TRIANGLES:
@@ -256,7 +256,7 @@ def _triangle(pools, f, code):
     return (c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]), sign * p[0], sign * p[1], sign * p[2]
 
 
-@inlined_kernel
+@query_kernel
 def _distance(pools, f, code, x, y, z):
     c, _, _, _ = _triangle(pools, f, code)
     return math.sqrt(closest_on_triangle(x, y, z, c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8])[0])
@@ -289,7 +289,7 @@ def _triangles_within(pools, f, point, r, center, found, scratch):
     return seen
 
 
-@inlined_kernel
+@query_kernel
 def _note(pools, f, code, point, r, center, found, seen):
     if not _distance(pools, f, code, point[0], point[1], point[2]) <= r:
         return seen
@@ -299,7 +299,7 @@ def _note(pools, f, code, point, r, center, found, seen):
     return count + 1, min(first, code), min(least, _distance(pools, f, code, center[0], center[1], center[2]))
 
 
-@inlined_kernel
+@query_kernel
 def _note_tetrahedron(pools, f, t, point, r, center, found, seen):
     mesh, body, shift = pools.mesh, pools.body, pools.fragment.tet_shift[f]
     if shift == NEVER_BROKEN or body.regions[t + shift, OWNER] >= 0:

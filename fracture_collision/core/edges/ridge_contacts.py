@@ -29,7 +29,7 @@ from fracture_collision.core.edges.ridge_leaves import (
 from fracture_collision.core.edges.ridges import BEGIN, END, FIRST_FACE, LENGTH, OUTWARD, TURN
 from fracture_collision.core.field.elementary_queries import INSIDE, Probe
 from fracture_collision.core.field.flood import NO_SOURCE
-from fracture_collision.core.memory.compiled import inlined_kernel, spliced_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.mesh.closest_point import segment_distance
@@ -65,13 +65,13 @@ class RidgePair(NamedTuple):
     s: np.ndarray  # (RIDGE,) float64
 
 
-@inlined_kernel
+@query_kernel
 def have_ridges(edges, a, b):
     """Whether both fragments have ridges (`edges`, of all rows: NO_RIDGES where crossings are not searched)."""
     return len(edges.count) > 0 and edges.count[a] > 0 and edges.count[b] > 0
 
 
-@spliced_kernel
+@query_kernel
 def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch):
     """Store the contacts of crossing ridges of a Pair as candidates in scratch, by a Rule.
 
@@ -108,7 +108,7 @@ def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch)
     for i in range(many):
         if of_a[i] // LEAF != group:
             group, first_of_group = of_a[i] // LEAF, i
-            carry_leaf(edges.lines[edges.first[a] // LEAF + group], of_a[i:many], rotation[0], origin, ends)
+            carry_leaf(edges.lines[edges.first[a] + group], of_a[i:many], rotation[0], origin, ends)
             see_boxes(ends[LEAF], m, boxes, leaves, around, enough, excess)
             near_leaves = keep_near(of_b, boxes, leaves, excess, near_b, near_boxes)
         if near_leaves == 0:
@@ -122,15 +122,15 @@ def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch)
         for l in range(near_leaves):  # noqa: E741
             if excess[l] > np.float32(0.0):
                 continue
-            see_lines(it, m, edges.lines[edges.first[b] // LEAF + near_b[l]], window, lanes)
+            see_lines(it, m, edges.lines[edges.first[b] + near_b[l]], window, lanes)
             for lane in range(LEAF):
                 j = LEAF * near_b[l] + lane
                 if not lanes[lane] <= np.float32(0.0) or j >= edges.count[b]:
                     continue
                 if not is_carried:
                     is_carried = True
-                    _carry_ridge(edges.rows[edges.first[a] + of_a[i]], rotation[0], translation[0], row)
-                other = edges.rows[edges.first[b] + j]
+                    _carry_ridge(edges.rows[LEAF * edges.first[a] + of_a[i]], rotation[0], translation[0], row)
+                other = edges.rows[LEAF * edges.first[b] + j]
                 if reach > 0.0 and may_cross(row, other, listing.shallow, rule.near + reach, farthest + reach, turn):
                     if pairs < len(listing.ridges):
                         listing.ridges[pairs, 0], listing.ridges[pairs, 1] = of_a[i], j
@@ -141,7 +141,7 @@ def add_crossings(pools, edges, pair, rule, listing, separation, found, scratch)
     return count, deep, pairs
 
 
-@spliced_kernel
+@query_kernel
 def add_listed_crossings(pools, edges, pair, rule, listing, separation, found, scratch):
     """add_crossings for a Pair where listing.ridges holds all pairs of ridges that can cross; returns (count, deep)."""
     a, b, rotation, translation = pair
@@ -150,7 +150,7 @@ def add_listed_crossings(pools, edges, pair, rule, listing, separation, found, s
     deepest, most = _deepest(pools, a, b, separation), count + MOST_CROSSINGS
     for k in range(len(listing.ridges)):
         i, j = listing.ridges[k, 0], listing.ridges[k, 1]
-        own, other = edges.rows[edges.first[a] + i], edges.rows[edges.first[b] + j]
+        own, other = edges.rows[LEAF * edges.first[a] + i], edges.rows[LEAF * edges.first[b] + j]
         if i != carried:
             _carry_ridge(own, rotation[0], translation[0], row)
             carried = i
@@ -159,7 +159,7 @@ def add_listed_crossings(pools, edges, pair, rule, listing, separation, found, s
     return count, deep
 
 
-@inlined_kernel
+@query_kernel
 def least_apart(edges, pair, listed, near, of_far, scratch):
     """Lower bound [m] of the distance beyond `near` between the ridges of all `listed` pairs (n, 2), no less than 0.
 
@@ -168,32 +168,32 @@ def least_apart(edges, pair, listed, near, of_far, scratch):
     a, b, rotation, translation = pair
     row, least = scratch.ridge_work.row, math.inf
     for k in range(len(listed)):
-        _carry_ends(edges.rows[edges.first[a] + listed[k, 0]], rotation[0], translation[0], row)
-        apart = segment_distance(row, edges.rows[edges.first[b] + listed[k, 1]]) - near
+        _carry_ends(edges.rows[LEAF * edges.first[a] + listed[k, 0]], rotation[0], translation[0], row)
+        apart = segment_distance(row, edges.rows[LEAF * edges.first[b] + listed[k, 1]]) - near
         if apart > 0.0 or not of_far:
             least = min(least, apart)
     return max(least, 0.0)
 
 
-@inlined_kernel
+@query_kernel
 def _deepest(pools, a, b, separation):
     """Depth [m] down to which crossings of fragments a and b are searched, see DEEPEST and MOVED."""
     moved = MOVED * separation.apart + separation.slack
     return min(DEEPEST * min(pools.fragment.radius[a], pools.fragment.radius[b]), moved)
 
 
-@inlined_kernel
+@query_kernel
 def _half_diagonal(box):
     return 0.5 * math.sqrt((box[3] - box[0]) ** 2 + (box[4] - box[1]) ** 2 + (box[5] - box[2]) ** 2)
 
 
-@inlined_kernel
+@query_kernel
 def _carry_ends(own, rotation, translation, row):
     for k in range(BEGIN, END + 3, 3):
         row[k], row[k + 1], row[k + 2] = to_other(rotation, translation, own[k], own[k + 1], own[k + 2])
 
 
-@inlined_kernel
+@query_kernel
 def _carry_ridge(own, rotation, translation, row):
     _carry_ends(own, rotation, translation, row)
     for k in range(FIRST_FACE, OUTWARD + 3, 3):
@@ -201,7 +201,7 @@ def _carry_ridge(own, rotation, translation, row):
     row[LENGTH], row[TURN] = own[LENGTH], own[TURN]
 
 
-@inlined_kernel
+@query_kernel
 def _add(pools, pair, ridges, rule, limits, found, scratch):
     """Store the contact of a RidgePair, if there is one; returns the new `found` (count, deep).
 

@@ -12,7 +12,7 @@ import math
 
 from fracture_collision.core.edges.ridges import LENGTH, TURN
 from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.rotations import to_other
 
 # Edges at less than 3 degrees have no direction across both: samples at their ends give the contacts.
@@ -31,7 +31,7 @@ REALLY = 0.25
 OF_TURN = 1.6
 
 
-@inlined_kernel
+@query_kernel
 def matters(r, s, shallow):
     """Whether two ridges can cross deeper than samples at their ends show.
 
@@ -40,7 +40,7 @@ def matters(r, s, shallow):
     return min(r[LENGTH] * s[TURN], s[LENGTH] * r[TURN]) >= MATTERS * shallow
 
 
-@inlined_kernel
+@query_kernel
 def may_cross(r, s, shallow, near, deep, turn):
     """Whether ridges r, of a, and s, of b, may cross after a rotation of no more than `turn`.
 
@@ -59,7 +59,7 @@ def may_cross(r, s, shallow, near, deep, turn):
     return -deep <= -along <= near and _points_out(r, s, -nx, -ny, -nz, room)
 
 
-@inlined_kernel
+@query_kernel
 def _across(r, s):
     """Direction across ridges r and s, and their distance along it.
 
@@ -75,7 +75,7 @@ def _across(r, s):
     return nx, ny, nz, length / (r[LENGTH] * s[LENGTH]), along
 
 
-@inlined_kernel
+@query_kernel
 def _points_out(r, s, nx, ny, nz, room):
     """Whether a direction points out of the fragment of s at its ridge, and into that of r at its own."""
     return (
@@ -84,7 +84,7 @@ def _points_out(r, s, nx, ny, nz, room):
     )  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def crossing(r, s, shallow, near, deep, out):
     """Whether ridges r, of a, and s, of b, cross, with a gap from -deep to near [m].
 
@@ -116,7 +116,7 @@ def crossing(r, s, shallow, near, deep, out):
     return True
 
 
-@inlined_kernel
+@query_kernel
 def _into_wedge(r, s, k, n, deep):
     """Where ridge r is well inside the wedge of ridge s's faces.
 

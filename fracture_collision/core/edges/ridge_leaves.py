@@ -10,7 +10,7 @@ import numpy as np
 from fracture_collision.core.edges.ridge_crossing import LEAST_SINE, OF_TURN
 from fracture_collision.core.edges.ridge_work import BOX_AND_MOST
 from fracture_collision.core.edges.ridges import ALONG, LINE_BEGIN, LINE_LENGTH, LINE_TURN
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.memory.rotations import rotated
 from fracture_collision.core.samples.sample_leaves import Leaves, worst_of_leaves
@@ -33,7 +33,7 @@ class Window(NamedTuple):
     enough: float  # [m] crossings of ridges that are less deep do not matter (ridge_crossing.matters)
 
 
-@inlined_kernel
+@query_kernel
 def _see_leaves(pools, edges, pair, side, approach, out, scratch):
     """Measure how far leaves of one side's ridges are beyond where they may come near the other by an Approach.
 
@@ -42,7 +42,7 @@ def _see_leaves(pools, edges, pair, side, approach, out, scratch):
     """
     own = pair.a if side == 0 else pair.b
     middle = pools.fragment.middle[own]
-    n, leaf = (edges.count[own] + LEAF - 1) // LEAF, edges.first[own] // LEAF
+    n, leaf = (edges.count[own] + LEAF - 1) // LEAF, edges.first[own]
     planes = scratch.planes
     used = half_spaces(pools, pair, side, middle, approach, planes)
     boxes = edges.boxes[6 * leaf : 6 * (leaf + n)]
@@ -50,7 +50,7 @@ def _see_leaves(pools, edges, pair, side, approach, out, scratch):
     return n, used
 
 
-@inlined_kernel
+@query_kernel
 def may_reach(pools, edges, pair, side, approach, out, scratch):
     """Write to `out` the ridges of one side that may come near the other by an Approach; returns their number."""
     n, used = _see_leaves(pools, edges, pair, side, approach, out, scratch)
@@ -60,7 +60,7 @@ def may_reach(pools, edges, pair, side, approach, out, scratch):
     for l in range(n):  # noqa: E741
         if worst[l] > np.float32(0.0):
             continue
-        lines = edges.lines[edges.first[own] // LEAF + l]
+        lines = edges.lines[edges.first[own] + l]
         for k in range(LEAF):
             beyond[k] = np.float32(-1.0)
         for p in range(used):
@@ -78,12 +78,12 @@ def may_reach(pools, edges, pair, side, approach, out, scratch):
     return found
 
 
-@inlined_kernel
+@query_kernel
 def leaves_that_may(pools, edges, pair, side, approach, out, boxes, scratch):
     """may_reach for whole leaves; writes their boxes to `boxes` (BOX_AND_MOST, .), too. Returns their number."""
     n, _ = _see_leaves(pools, edges, pair, side, approach, out, scratch)
     own = pair.a if side == 0 else pair.b
-    leaf, worst, found = edges.first[own] // LEAF, scratch.ridge_work.worst, 0
+    leaf, worst, found = edges.first[own], scratch.ridge_work.worst, 0
     for l in range(n):  # noqa: E741
         if worst[l] > np.float32(0.0):
             continue
@@ -95,7 +95,7 @@ def leaves_that_may(pools, edges, pair, side, approach, out, boxes, scratch):
     return found
 
 
-@inlined_kernel
+@query_kernel
 def carry_leaf(lines, of, rotation, origin, ends):
     """Transform to another frame those of the ridges `of` that are in the same leaf as the first.
 
@@ -121,7 +121,7 @@ def carry_leaf(lines, of, rotation, origin, ends):
         box[6], box[7] = max(box[6], row[6]), max(box[7], row[7])
 
 
-@inlined_kernel
+@query_kernel
 def keep_near(of, boxes, count, excess, near, near_boxes):
     """Copy those of `count` leaves that have no excess to `near` and `near_boxes`; returns their number."""
     kept = 0
@@ -134,7 +134,7 @@ def keep_near(of, boxes, count, excess, near, near_boxes):
     return kept
 
 
-@inlined_kernel
+@query_kernel
 def see_boxes(own, m, boxes, count, margin, enough, excess):
     """Write to `excess` by how much [m] boxes about `m` are farther than `margin` [m] from a box along an axis.
 
@@ -160,7 +160,7 @@ def see_boxes(own, m, boxes, count, margin, enough, excess):
         excess[k] = x if depth >= least else np.float32(1.0)
 
 
-@inlined_kernel
+@query_kernel
 def see_lines(row, m, lines, window, excess):
     """Write to `excess` by how much [m] each ridge of a leaf fails to cross another ridge; 0 or less: it may cross.
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from fracture_collision.core.edges.ridges import RIDGE
 from fracture_collision.core.memory.pools import LEAF
+from fracture_collision.core.memory.struct import Struct
 
 # Lower and upper corners of a leaf's box, the greatest length and turn in it.
 BOX_AND_MOST = 8
 
 
-class RidgeWork(NamedTuple):
+class RidgeWork(Struct):
     """Working memory of one thread for a search for crossings of ridges."""
 
     worst: np.ndarray  # (n,) float32 [m]: how far leaves are beyond half-spaces

@@ -7,12 +7,14 @@ does not move it (cut_tetrahedron.py). So a ridge keeps its number for as long a
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
-from fracture_collision.core.memory.pools import LEAF, GrowableArray, Pools
+from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.pools import FRAGMENT, LEAF, Pools
+from fracture_collision.core.memory.struct import Struct
+from fracture_collision.core.memory.tables import Column, Table
 from fracture_collision.core.samples.sample_leaves import place_on_curve
 
 # Minimum turn of the surface at a ridge (chord of the angle), and minimum length as a share of R: where flatter or
@@ -32,62 +34,45 @@ _FIRST_ROOM = 4096
 _MORE_THAN_EDGES = 2  # places of the hash table for each edge
 
 
-class Ridges(NamedTuple):
+RIDGE_LEAF = "ridge leaf"
+
+
+class Ridges(Struct):
     """Ridges of all fragments, those of one together, sorted along a curve, eight to a leaf as in sample_leaves.py."""
 
-    first: np.ndarray  # (F,) int64 first row of a fragment, a multiple of LEAF
-    count: np.ndarray  # type: ignore[assignment] # (F,) int64 how many it has
-    rows: np.ndarray  # (n, RIDGE) float64, body frame; rows that pad a last leaf are not counted
-    boxes: np.ndarray  # (6 n / LEAF,) float32 [m] of leaves as in sample_leaves.Leaves, about the fragment's `middle`
-    most: np.ndarray  # (n / LEAF, 2) float32: the greatest length [m] and turn in each leaf
-    lines: np.ndarray  # (n / LEAF, LINE, LEAF) float32: ridges of each leaf, likewise; single precision
+    first: Annotated[np.ndarray, Column(FRAGMENT, np.int64, 0, RIDGE_LEAF)]  # first leaf of a fragment
+    count: Annotated[np.ndarray, Column(FRAGMENT, np.int64)]  # how many it has
+    # body frame; rows that pad a last leaf are not counted
+    rows: Annotated[np.ndarray, Column(RIDGE_LEAF, np.float64, LEAF * RIDGE, shape=(-1, RIDGE))]
+    # [m] of leaves as in sample_leaves.Leaves, about the fragment's `middle`
+    boxes: Annotated[np.ndarray, Column(RIDGE_LEAF, np.float32, 6, shape=(-1,))]
+    most: Annotated[np.ndarray, Column(RIDGE_LEAF, np.float32, 2)]  # the greatest length [m] and turn in each leaf
+    # ridges of each leaf, likewise; single precision
+    lines: Annotated[np.ndarray, Column(RIDGE_LEAF, np.float32, LINE * LEAF, shape=(-1, LINE, LEAF))]
 
 
-class RidgeTable:
-    """Owns the arrays; fragments have the same rows as in FragmentPool."""
-
-    def __init__(self) -> None:
-        self._first, self._count = GrowableArray(0, np.int64), GrowableArray(0, np.int64)
-        self._rows, self._boxes = GrowableArray(RIDGE, np.float64), GrowableArray(6, np.float32)
-        self._most, self._lines = GrowableArray(2, np.float32), GrowableArray(LINE * LEAF, np.float32)
-        self._room = np.empty((_FIRST_ROOM, RIDGE))
-
-    @property
-    def view(self) -> Ridges:
-        """The Ridges of all fragments: views of the arrays."""
-        lines = self._lines.view.reshape(-1, LINE, LEAF)
-        boxes = self._boxes.view.reshape(-1)
-        return Ridges(self._first.view, self._count.view, self._rows.view, boxes, self._most.view, lines)
-
-    def append(self, pools: Pools, first: int, triangles: np.ndarray, begin: np.ndarray) -> None:
-        """Add the ridges of the fragments from row `first` on, which were made last, by their triangles_of."""
-        for k in range(len(begin) - 1):
-            f, its = first + k, triangles[begin[k] : begin[k + 1]]
-            count = find_ridges(its, pools.fragment.radius[f], self._room)
-            if count > len(self._room):
-                self._room = np.empty((2 * count, RIDGE))
-                find_ridges(its, pools.fragment.radius[f], self._room)
-            leaves = -(-count // LEAF)
-            rows, boxes = self._rows.reserve(LEAF * leaves), self._boxes.reserve(leaves).reshape(-1)
-            most, lines = self._most.reserve(leaves), self._lines.reserve(leaves).reshape(-1, LINE, LEAF)
-            _put_on_curve(self._room, count, pools.fragment.middle[f], rows, boxes, most, lines)
-            self._first.append(np.array([self._rows.advance(LEAF * leaves)]))
-            for column in (self._boxes, self._most, self._lines):
-                column.advance(leaves)
-            self._count.append(np.array([count]))
-
-    def keep(self, stays: np.ndarray) -> None:
-        """Keep only the ridges of fragments where the mask `stays` (F,) is true."""
-        leaves = -(-self._count.view // LEAF)
-        stay = np.repeat(stays, leaves)
-        self._rows.keep(np.repeat(stay, LEAF))
-        for column in (self._boxes, self._most, self._lines):
-            column.keep(stay)
-        self._count.keep(stays)
-        self._first.replace(LEAF * (np.cumsum(leaves[stays]) - leaves[stays]))
+NO_RIDGES = Table(Ridges).view
 
 
-NO_RIDGES = RidgeTable().view
+def append_ridges(table: Table[Ridges], pools: Pools, first: int, triangles: np.ndarray, begin: np.ndarray) -> None:
+    """Add the ridges of the fragments from row `first` on, which were made last, by their triangles_of."""
+    room = np.empty((_FIRST_ROOM, RIDGE))
+    for k in range(len(begin) - 1):
+        f, its = first + k, triangles[begin[k] : begin[k + 1]]
+        count = find_ridges(its, pools.fragment.radius[f], room)
+        if count > len(room):
+            room = np.empty((2 * count, RIDGE))
+            find_ridges(its, pools.fragment.radius[f], room)
+        leaves = -(-count // LEAF)
+        rows, boxes, most, lines = (table[name].reserve(leaves) for name in ("rows", "boxes", "most", "lines"))
+        _put_on_curve(
+            room, count, pools.fragment.middle[f], rows.reshape(-1, RIDGE), boxes.reshape(-1), most,
+            lines.reshape(-1, LINE, LEAF),
+        )  # fmt: skip
+        table["first"].append(np.array([table["rows"].advance(leaves)]))
+        for name in ("boxes", "most", "lines"):
+            table[name].advance(leaves)
+        table["count"].append(np.array([count]))
 
 
 @kernel
@@ -151,7 +136,7 @@ def find_ridges(triangles, radius, out):
     return used
 
 
-@inlined_kernel
+@query_kernel
 def _normal(c):
     """Unit normal (x, y, z) of a triangle (9,), and its length before normalisation."""
     ux, uy, uz = c[3] - c[0], c[4] - c[1], c[5] - c[2]
@@ -161,21 +146,21 @@ def _normal(c):
     return nx / length, ny / length, nz / length, length
 
 
-@inlined_kernel
+@query_kernel
 def _is_reverse(row, p, q):
     return (
         row[0] == q[0] and row[1] == q[1] and row[2] == q[2] and row[3] == p[0] and row[4] == p[1] and row[5] == p[2]
     )
 
 
-@inlined_kernel
+@query_kernel
 def _hash(x, y, z):
     h = _bits(x) * 0x1F7B1EA1 ^ _bits(y) * 0x2545F491 ^ _bits(z) * 0x5851F42D
     h = (h ^ (h >> 33)) * 0x62A9D9ED799705F5
     return h ^ (h >> 29)
 
 
-@inlined_kernel
+@query_kernel
 def _bits(x):
     """Bits of a number; both zeros have the same."""
     return np.float64(x + 0.0).view(np.int64)

@@ -13,7 +13,7 @@ import numpy as np
 
 from fracture_collision.core.field.flood import EVERYTHING, NO_SOURCE, nearest_in_tetrahedron, nothing_within
 from fracture_collision.core.field.tetrahedra_near import tetrahedra_near
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA
 from fracture_collision.core.memory.pools import (
     FRONT,
@@ -36,13 +36,13 @@ CLEAR, NEAR, UNKNOWN = 0, 1, 2
 BEYOND, DEEP = 3, 4
 
 
-@inlined_kernel
+@query_kernel
 def may_be_clear(pools, f):
     """Whether `clearance` applies to fragment `f`: it is part of a broken body."""
     return pools.fragment.kind[f] == TETRAHEDRA and pools.fragment.node_shift[f] != NEVER_BROKEN
 
 
-@inlined_kernel
+@query_kernel
 def _heights(walls, t, local):
     """Heights [m] of a point above the four walls of tetrahedron `t`, positive outside; local: see _held_by."""
     w = walls[t]
@@ -53,7 +53,7 @@ def _heights(walls, t, local):
     )  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def _held_by(mesh, k, last, point, local, slack):
     """The tetrahedron of mesh `k` that holds a point, and its distance behind the nearest wall.
 
@@ -81,7 +81,7 @@ def _held_by(mesh, k, last, point, local, slack):
     return t, -max(h0, h1, h2, h3)
 
 
-@inlined_kernel
+@query_kernel
 def clearance(pools, f, last, point, within, rounding, scratch):
     """Lower bound of a point's distance from fragment `f`, which must satisfy may_be_clear.
 
@@ -109,7 +109,7 @@ def clearance(pools, f, last, point, within, rounding, scratch):
     return (within if around == CLEAR else 0.0), t
 
 
-@inlined_kernel
+@query_kernel
 def side_of_surface(pools, f, last, point, deep, rounding):
     """Whether a point is certainly outside fragment `f`, or certainly deep inside.
 
@@ -140,7 +140,7 @@ def side_of_surface(pools, f, last, point, deep, rounding):
     return (DEEP if behind > np.float32(deep) + slack else UNKNOWN), t
 
 
-@inlined_kernel
+@query_kernel
 def _is_clear_of_cells(pools, f, point, local, far, scratch):
     """Whether no surface of `f` is within `far` [m] of a point outside f, by all tetrahedra in the cells around it."""
     mesh, near = pools.mesh, scratch.heap_tet
@@ -154,13 +154,13 @@ def _is_clear_of_cells(pools, f, point, local, far, scratch):
     return True
 
 
-@inlined_kernel
+@query_kernel
 def _above_plane(region, local):
     """Height [m] of a point, relative to the grid's corner, above a tetrahedron's dividing plane, out of its front."""
     return region[PLANE] * local[0] + region[PLANE + 1] * local[1] + region[PLANE + 2] * local[2] - region[PLANE + 3]
 
 
-@inlined_kernel
+@query_kernel
 def _around(pools, f, start, point, local, far, reached):
     """Whether surface of `f` may be within `far` [m] of a point outside f, by the tetrahedra around the point.
 
@@ -199,7 +199,7 @@ def _around(pools, f, start, point, local, far, reached):
     return CLEAR
 
 
-@inlined_kernel
+@query_kernel
 def _has_surface_near(pools, f, t, point, local, far):
     """Whether surface of `f` in tetrahedron `t` may be within `far` [m] of a point outside f.
 
@@ -218,7 +218,7 @@ def _has_surface_near(pools, f, t, point, local, far):
     return best[5] != NO_SOURCE
 
 
-@inlined_kernel
+@query_kernel
 def _way_within(pools, f, t, point, local, far, slack):
     """Lower bound [m], up to rounding, of the distance from a point in tetrahedron `t` to f's part of `t`.
 

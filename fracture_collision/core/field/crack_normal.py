@@ -17,7 +17,7 @@ from fracture_collision.core.field.flood import (
     nearest_from_outside,
     source_normal,
 )
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
 from fracture_collision.core.mesh.closest_point import DIRECTION_FLOOR
 from fracture_collision.core.mesh.point_location import height, owner_in_cut
@@ -38,7 +38,7 @@ NOWHERE = -2  # no tetrahedron, nor -1, the outside
 ANYBODY = -1
 
 
-@inlined_kernel
+@query_kernel
 def turn_to_crack(pools, f, g, near, row, witness, scratch):
     """Turn the contact of a sample of `g` with `f`, of the same body, to the crack that separates them, if it is near.
 
@@ -77,7 +77,7 @@ def turn_to_crack(pools, f, g, near, row, witness, scratch):
     row[6], row[7], row[8] = nx, ny, nz
 
 
-@inlined_kernel
+@query_kernel
 def _parts(pools, f, g, source):
     """Whether the surface triangle `source` belongs to the crack between two fragments."""
     if source < 0 or source == NO_SOURCE:
@@ -86,7 +86,7 @@ def _parts(pools, f, g, source):
     return (front == f and back == g) or (front == g and back == f)
 
 
-@inlined_kernel
+@query_kernel
 def crack_direction(pools, f, g, source, t):
     """Unit normal out of fragment `f` of its crack with `g` in tetrahedron `t`: the mean over the edges it cuts there.
 
@@ -99,7 +99,7 @@ def crack_direction(pools, f, g, source, t):
     return nx / length, ny / length, nz / length
 
 
-@inlined_kernel
+@query_kernel
 def sum_of_planes(pools, f, g, t):
     """Sum of the normals, out of `f` towards `g` or ANYBODY, of the planes that cut edges of tetrahedron `t`."""
     mesh, body = pools.mesh, pools.body
@@ -119,7 +119,7 @@ def sum_of_planes(pools, f, g, t):
     return sx, sy, sz
 
 
-@inlined_kernel
+@query_kernel
 def way_through(pools, f, t, point, way, limit, leaves, scratch):
     """Length [m] of the ray from a point in tetrahedron `t` along a unit vector to where it leaves `f`, or enters it.
 
@@ -165,7 +165,7 @@ def way_through(pools, f, t, point, way, limit, leaves, scratch):
     return s if t < 0 and leaves and s <= limit else math.inf
 
 
-@inlined_kernel
+@query_kernel
 def _share_by_plane(body, row, f, leaves, begin, end):
     """_share_of_segment where a single plane, that of `row`, separates two fragments."""
     at_start, at_end = height(body, row, begin[0], begin[1], begin[2]), height(body, row, end[0], end[1], end[2])
@@ -179,7 +179,7 @@ def _share_by_plane(body, row, f, leaves, begin, end):
     return root if root + SAME_ROOT < 1.0 and (after == f) != leaves else 1.0
 
 
-@inlined_kernel
+@query_kernel
 def _share_of_segment(pools, f, t, leaves, start, end, roots):
     """Share of a segment in cut tetrahedron `t`, from its start to where f's region ends (`leaves`) or begins: 0 .. 1.
 

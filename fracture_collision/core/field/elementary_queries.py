@@ -17,7 +17,7 @@ from fracture_collision.core.field.flood import (
     nearest_from_outside,
     outward_direction,
 )
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import TETRAHEDRA, TRIANGLES, is_mesh
 from fracture_collision.core.mesh.closest_point import box_distance_squared
 from fracture_collision.core.mesh.occupancy import sphere_may_touch
@@ -47,7 +47,7 @@ class Probe(NamedTuple):
     tetrahedron: int  # the tetrahedron that holds the point, -1: none, or not searched
 
 
-@inlined_kernel
+@query_kernel
 def inside_tetrahedron(pools, f, x, y, z):
     """insideTest: the tetrahedron row in which the point belongs to fragment `f`, -1 if it does not."""
     t = tetrahedron_at(pools.mesh, pools.fragment.mesh[f], x, y, z)
@@ -56,7 +56,7 @@ def inside_tetrahedron(pools, f, x, y, z):
     return t
 
 
-@inlined_kernel
+@query_kernel
 def probe(pools, f, point, near, deep, scratch):
     """All queries for one point (x, y, z): (status, distance [m], nx, ny, nz, closest x, y, z).
 
@@ -68,7 +68,7 @@ def probe(pools, f, point, near, deep, scratch):
     return answer.status, answer.distance, answer.nx, answer.ny, answer.nz, answer.x, answer.y, answer.z
 
 
-@inlined_kernel
+@query_kernel
 def bounded_probe(pools, f, point, near, deep, start, reached, scratch):
     """`probe` with everything computed for the point: a Probe.
 
@@ -119,7 +119,7 @@ def _probe_mesh(pools, f, point, near, deep, start, reached, scratch):
     return Probe(NEAR, d, nx, ny, nz, best[1], best[2], best[3], -d, best[5], best[6], t)
 
 
-@inlined_kernel
+@query_kernel
 def least_distance(pools, f, x, y, z):
     """The cheapest lower bound [m] of a point's signed distance: minus infinity if it may be inside."""
     kind = pools.fragment.kind[f]
@@ -129,7 +129,7 @@ def least_distance(pools, f, x, y, z):
     return math.sqrt(d2) if d2 > 0.0 else -math.inf
 
 
-@inlined_kernel
+@query_kernel
 def sphere_test(pools, f, distance, x, y, z, r, scratch):
     """sphereTest: False only if fragment `f` is farther than `r` [m] from the point.
 

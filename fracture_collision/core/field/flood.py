@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from fracture_collision.core.field.tetrahedra_near import next_stamp, tetrahedra_near
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.heap import pop, push
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, NEVER_BROKEN, OLD_FACE, OWNER, PARTED, ROW
 from fracture_collision.core.mesh.closest_point import (
@@ -42,7 +42,7 @@ HEIGHT_ROUNDING = 1e-12
 WEIGHT_ROUNDING = 1e-12
 
 
-@inlined_kernel
+@query_kernel
 def _weight_and_slope(mesh, t, corner, x, y, z):
     """Barycentric weight of a corner of tetrahedron `t` at the point, and the square of its gradient [1/m2]."""
     b = mesh.barycentric[t]
@@ -54,7 +54,7 @@ def _weight_and_slope(mesh, t, corner, x, y, z):
     return 1.0 - gx * x - gy * y - gz * z - b[3] - b[7] - b[11], gx * gx + gy * gy + gz * gz
 
 
-@inlined_kernel
+@query_kernel
 def _face_is_farther(mesh, t, face, x, y, z, d2):
     """Whether the plane of a face, and so the face, is farther than sqrt(d2) [m], with a margin for rounding."""
     weight, slope = _weight_and_slope(mesh, t, face, x, y, z)
@@ -62,7 +62,7 @@ def _face_is_farther(mesh, t, face, x, y, z, d2):
     return weight > 0.0 and weight * weight > d2 * slope * PLANE_SLACK
 
 
-@inlined_kernel
+@query_kernel
 def may_leave_over(mesh, t, face, x, y, z, d2):
     """Whether a segment from the point, at most sqrt(d2) [m] long, may leave tetrahedron `t` across a face.
 
@@ -75,7 +75,7 @@ def may_leave_over(mesh, t, face, x, y, z, d2):
     return weight <= 0.0 or weight * weight <= d2 * slope * PLANE_SLACK
 
 
-@inlined_kernel
+@query_kernel
 def least_distance_squared(mesh, t, x, y, z):
     """Lower bound [m2] of a point's squared distance from tetrahedron `t`, from its box and its four face planes."""
     least = box_distance_squared(x, y, z, mesh.boxes[t])
@@ -86,7 +86,7 @@ def least_distance_squared(mesh, t, x, y, z):
     return least
 
 
-@inlined_kernel
+@query_kernel
 def nothing_within(limit):
     """Initial `best` of a search for surface closer than `limit` [m].
 
@@ -95,7 +95,7 @@ def nothing_within(limit):
     return limit * limit, 0.0, 0.0, 0.0, ON_RIM, NO_SOURCE, -1
 
 
-@inlined_kernel
+@query_kernel
 def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
     """The nearer of `best`, see `nothing_within`, and f's surface within tetrahedron `t`.
 
@@ -154,7 +154,7 @@ def nearest_in_tetrahedron(pools, f, t, x, y, z, only, best):
     return d2, qx, qy, qz, feature, source, where
 
 
-@inlined_kernel
+@query_kernel
 def nearest_from_inside(pools, f, start, point, limit, only, scratch):
     """Nearest point of f's surface closer than `limit` [m] (infinity: no limit) to a point of f in `start`.
 
@@ -189,7 +189,7 @@ def nearest_from_inside(pools, f, start, point, limit, only, scratch):
     return best
 
 
-@inlined_kernel
+@query_kernel
 def nearest_from_outside(pools, f, at, point, limit, only, scratch):
     """Nearest point of f's surface closer than `limit` [m] to a point outside f; NO_SOURCE if none is.
 
@@ -216,7 +216,7 @@ def nearest_from_outside(pools, f, at, point, limit, only, scratch):
     return best
 
 
-@inlined_kernel
+@query_kernel
 def _is_clear_within(pools, f, t, x, y, z, limit):
     """Whether tetrahedron `t` alone shows that nothing of f is within `limit` [m] of a point in `t` outside f.
 
@@ -243,7 +243,7 @@ def _is_clear_within(pools, f, t, x, y, z, limit):
     )  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def _region_is_farther(pools, f, t, x, y, z, d2):
     """Whether f's region of tetrahedron `t` is certainly farther than sqrt(d2) [m]: one plane divides `t`, and is."""
     body, tet_shift = pools.body, pools.fragment.tet_shift[f]
@@ -257,7 +257,7 @@ def _region_is_farther(pools, f, t, x, y, z, d2):
     return above > 0.0 and above * above > d2
 
 
-@inlined_kernel
+@query_kernel
 def _nearest_around(pools, f, at, point, only, scratch, best):
     """nearest_from_outside for a point in tetrahedron `at`, across faces within reach.
 
@@ -288,7 +288,7 @@ def _nearest_around(pools, f, at, point, only, scratch, best):
     return best, True
 
 
-@inlined_kernel
+@query_kernel
 def source_normal(pools, f, source):
     """Outward unit normal of f on the surface triangle `source`."""
     if source < 0:
@@ -304,7 +304,7 @@ def source_normal(pools, f, source):
     return -p[0], -p[1], -p[2]
 
 
-@inlined_kernel
+@query_kernel
 def outward_direction(pools, f, x, y, z, best, inside):
     """Unit direction out of f at the closest point `best`: the face normal, or at a rim the line between the points."""
     d2, qx, qy, qz, feature, source, _ = best

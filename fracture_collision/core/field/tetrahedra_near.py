@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.mesh.occupancy import ROUNDING, parts_within
 from fracture_collision.core.mesh.point_location import holds_fragment
 
 
-@inlined_kernel
+@query_kernel
 def next_stamp(scratch):
     """A stamp that no entry of `visited` holds."""
     if scratch.stamp[0] == np.iinfo(np.int32).max:
@@ -21,7 +21,7 @@ def next_stamp(scratch):
     return scratch.stamp[0]
 
 
-@inlined_kernel
+@query_kernel
 def tetrahedra_near(pools, f, x, y, z, limit, scratch):
     """Find the tetrahedra that hold part of f and may be within `limit` [m] of a point.
 

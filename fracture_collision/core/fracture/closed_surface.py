@@ -25,7 +25,7 @@ from fracture_collision.core.fracture.cut_patterns import (
     WHOLE,
 )
 from fracture_collision.core.fracture.surface_rows import Broken
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.pools import FANNED, NEVER_BROKEN, OWNER, ROW, Pools
 from fracture_collision.core.mesh.cut_tetrahedron import (
     CROSSING,
@@ -98,7 +98,7 @@ def _collect(pools, broken, first_tet, last_tet, out, work, key):
     return used
 
 
-@inlined_kernel
+@query_kernel
 def _set_keys(mesh, t, key):
     """Set the identities of all points of a tetrahedron; a face's is one of two tetrahedra, the smaller one's."""
     edges, faces = len(mesh.nodes), len(mesh.nodes) + len(mesh.edges)
@@ -117,7 +117,7 @@ def _set_keys(mesh, t, key):
     key[HUB] = faces + 4 * np.int64(len(mesh.tetrahedra)) + t
 
 
-@inlined_kernel
+@query_kernel
 def _load_stored(body, first, pattern, work):
     """Load hub and face points of a tetrahedron from its polygons, rows of `body` from `first` on."""
     for d in range(3):
@@ -129,7 +129,7 @@ def _load_stored(body, first, pattern, work):
                 work.points[point, d] = body.triangles[first + k, 3 + d]
 
 
-@inlined_kernel
+@query_kernel
 def _add_fan(pattern, f, work, key, out, used):
     for k in range(FAN_COUNT[pattern]):
         row = FAN[pattern, k]
@@ -140,7 +140,7 @@ def _add_fan(pattern, f, work, key, out, used):
     return used
 
 
-@inlined_kernel
+@query_kernel
 def _add_section(f, work, key, out, used):
     side = 0
     for i in range(4):
@@ -153,7 +153,7 @@ def _add_section(f, work, key, out, used):
     return used
 
 
-@inlined_kernel
+@query_kernel
 def _add(work, key, points, is_crack, out, used):
     """Append a triangle of three points of the tetrahedron; returns the number of triangles."""
     if used < len(out.is_crack):

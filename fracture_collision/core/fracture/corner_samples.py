@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.core.fracture.cut_patterns import FACE_NODES, GROUP, GROUPS
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_POINT, HUB
 from fracture_collision.core.mesh.sample_numbers import FIRST_NODE, OF_FACE, OF_HUB, NewSamples, corner_number
 
@@ -29,7 +29,7 @@ def room_for_corners(tetrahedra):
     )
 
 
-@inlined_kernel
+@query_kernel
 def add_corners(mesh, broken, t, work, pattern, at_once, new, used):
     """Append to `new` the corners that the new fragments of a Broken have in tetrahedron t; returns its new length.
 
@@ -55,7 +55,7 @@ def add_corners(mesh, broken, t, work, pattern, at_once, new, used):
     return used
 
 
-@inlined_kernel
+@query_kernel
 def _append(mesh, broken, t, corner, point, new, used):
     """Append a corner to `new` at row `used` if its fragment is one of the Broken's new ones; returns the new length.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision import grouping
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.mesh.cut_tetrahedron import point_on_edge
 
 # Crossings kept per pair. More find contacts where only a small part of a crack still touches; each costs one useless
@@ -22,13 +22,13 @@ CANDIDATES = 48
 _grouped = kernel(grouping.grouped)
 
 
-@inlined_kernel
+@query_kernel
 def seed_key(a, b):
     """Key of SeedPool for two rows of FragmentPool, in any order: int64 smaller row << 32 | larger row."""
     return np.int64(min(a, b)) << np.int64(32) | np.int64(max(a, b))
 
 
-@inlined_kernel
+@query_kernel
 def find_seeds(fragment, seeds, a, b):
     """(first row of SeedPool.edges, end row) of two fragments of one body; an empty range if they share no crack."""
     key = seed_key(a, b)
@@ -53,7 +53,7 @@ def choose_seeds(pools, broken, edges, cut_tetrahedra, first_key, first_seed):
     edges: number of the mesh's edges. Writes FragmentPool.seeds of all fragments with rows. Returns (keys, ranges,
     edges).
     """
-    mesh, body, fragment, seeds = pools
+    mesh, body, fragment, seeds = pools.mesh, pools.body, pools.fragment, pools.seeds
     parent, first_edge = broken.parent, mesh.first[broken.mesh, 1]
     own = first_edge, first_edge + edges
     new_keys, new_ranges, chosen = _choose_seeds(mesh, body, broken, own, cut_tetrahedra, first_seed)
@@ -142,7 +142,7 @@ def _cut_edges(mesh, body, broken, own, cut_tetrahedra):
     return cut[:count], low, high
 
 
-@inlined_kernel
+@query_kernel
 def _farthest_first(points, near, chosen, count, edges, used):
     """Append at most MOST_SEEDS of `chosen` (count,), at points (3, .) [m], to `edges`; returns the end row."""
     x, y, z = points[0], points[1], points[2]

@@ -21,7 +21,7 @@ from fracture_collision.core.fracture.cut_moments import add_parts, add_sides
 from fracture_collision.core.fracture.cut_patterns import GROUP, PATTERN_OF_SIDE, SECTION_COUNT
 from fracture_collision.core.fracture.cut_polygons import write_fan, write_old_faces, write_section
 from fracture_collision.core.fracture.surface_rows import SurfaceRows, grow_by_box
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.pools import (
     BACK,
     BACK_SIDE,
@@ -57,7 +57,7 @@ def rebuild_surfaces(pools, broken, touched, room, words, sums, work):
 
     Returns (rows written, NewSamples at corners, words to append).
     """
-    mesh, body, fragment = pools
+    mesh, body, fragment = pools.mesh, pools.body, pools.fragment
     low, high, k = broken.first, broken.end, broken.mesh
     reaches = sums.boxes[low:high].copy()
     update = _Update(sums.moments, sums.gaps, sums.boxes, reaches)
@@ -137,7 +137,7 @@ def _rebuild_fanned(mesh, body, broken, touched, out, update, corners, work):
     return written, found
 
 
-@inlined_kernel
+@query_kernel
 def _put_plane(grid, out, row, region, plane):
     """Copy a tetrahedron's dividing plane, a row of `out`, to its own row."""
     region[FRONT], region[BACK] = out.sides[row, FRONT_SIDE], out.sides[row, BACK_SIDE]
@@ -146,7 +146,7 @@ def _put_plane(grid, out, row, region, plane):
     plane[PLANE + 3] = p[3] - (p[0] * grid[0] + p[1] * grid[1] + p[2] * grid[2])
 
 
-@inlined_kernel
+@query_kernel
 def _grow_reach(mesh, t, label, broken, reaches):
     """Grow the reach of a new fragment by tetrahedron `t`; no effect for others."""
     if broken.first <= label < broken.end:

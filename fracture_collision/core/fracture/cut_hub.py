@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.core.fracture.cut_patterns import CUT_COUNT, CUT_EDGES, GROUP, GROUPS
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.mesh.cut_tetrahedron import (
     EDGE_BETWEEN,
     EDGE_FIRST,
@@ -22,7 +22,7 @@ from fracture_collision.core.mesh.cut_tetrahedron import (
 NEVER = np.iinfo(np.int64).max
 
 
-@inlined_kernel
+@query_kernel
 def load_crossings(mesh, body, edge_shift, t, pattern, work):
     """Load the crossings of the cut edges of tetrahedron `t`; returns the oldest and newest fracture that cut them."""
     v = mesh.tetrahedra[t]
@@ -38,7 +38,7 @@ def load_crossings(mesh, body, edge_shift, t, pattern, work):
     return oldest, newest
 
 
-@inlined_kernel
+@query_kernel
 def _load_planes(mesh, body, edge_shift, t, work):
     """Load the planes and shares: face points and hubs of several events or more than two fragments need them, too."""
     v = mesh.tetrahedra[t]
@@ -54,7 +54,7 @@ def _load_planes(mesh, body, edge_shift, t, work):
                 work.planes[e, d] = p[d] if forward else -p[d]
 
 
-@inlined_kernel
+@query_kernel
 def place_hub(mesh, body, edge_shift, t, pattern, oldest, newest, work):
     """Place face points and hub of tetrahedron `t`; its labels, corners, crossings and events are in `work`."""
     hub, groups, lone = work.hub, GROUPS[pattern], -1
@@ -98,7 +98,7 @@ def place_hub(mesh, body, edge_shift, t, pattern, oldest, newest, work):
     _settle_on_face(work)
 
 
-@inlined_kernel
+@query_kernel
 def _place_face_points(mesh, t, work):
     for face in range(4):
         f = FACE_VERTICES[face]
@@ -107,7 +107,7 @@ def _place_face_points(mesh, t, work):
             _place_face_point(mesh.tetrahedra[t], face, work)
 
 
-@inlined_kernel
+@query_kernel
 def _decide_by_events(work, oldest):
     """Which crack places the hub of a tetrahedron cut by several fractures, the first being `oldest`.
 
@@ -123,7 +123,7 @@ def _decide_by_events(work, oldest):
     return newer, _part_into_groups(work, newer), True
 
 
-@inlined_kernel
+@query_kernel
 def _settle_on_face(work):
     """Move a hub on a face of three groups to its face point; otherwise the two would divide the face differently."""
     corners, hub, group = work.corners, work.hub, work.group
@@ -144,7 +144,7 @@ def _settle_on_face(work):
             return
 
 
-@inlined_kernel
+@query_kernel
 def _next_event(work, after):
     """The oldest fracture later than `after` that cut one of the edges, or NEVER."""
     oldest = NEVER
@@ -154,7 +154,7 @@ def _next_event(work, after):
     return oldest
 
 
-@inlined_kernel
+@query_kernel
 def _part_into_groups(work, until):
     """Fill `group`: nodes not separated by a fracture up to `until` share a group; returns the number of groups."""
     group = work.group
@@ -170,7 +170,7 @@ def _part_into_groups(work, until):
     return groups
 
 
-@inlined_kernel
+@query_kernel
 def _oldest_is_flat(work, oldest):
     """Whether the first crack, which made two groups, is planar: it has three crossings, or its planes are equal."""
     used, first = 0, -1
@@ -187,7 +187,7 @@ def _oldest_is_flat(work, oldest):
     return used == 3 or same
 
 
-@inlined_kernel
+@query_kernel
 def _lone_of_first(work, newest):
     """Node cut off by an older fracture, if the fracture `newest` separated all three others at once; -1 otherwise.
 
@@ -208,7 +208,7 @@ def _lone_of_first(work, newest):
     return -1
 
 
-@inlined_kernel
+@query_kernel
 def _place_face_point(nodes, face, work):
     """The point where three fragments meet in a face, computed from the face alone, with its nodes in mesh order."""
     f = FACE_VERTICES[face]
@@ -234,7 +234,7 @@ def _place_face_point(nodes, face, work):
         _common_point_of_face(work, a, b, c, out)
 
 
-@inlined_kernel
+@query_kernel
 def _on_older_crack(work, i, j, l, out):  # noqa: E741
     """Intersection, in their face, of the plane between nodes j and l with the older crack around node i."""
     e = EDGE_BETWEEN[j, l]
@@ -250,14 +250,14 @@ def _on_older_crack(work, i, j, l, out):  # noqa: E741
         out[d] = p[d] + s * (r[d] - p[d])
 
 
-@inlined_kernel
+@query_kernel
 def _share(work, i, j):
     """Position of an edge's crossing as a share of the edge from node i to j."""
     share = work.shares[EDGE_BETWEEN[i, j]]
     return share if i < j else 1.0 - share
 
 
-@inlined_kernel
+@query_kernel
 def _common_point_of_face(work, a, b, c, out):
     """Point of a face nearest to the planes of its three edges (least squares), within the triangle of their crossings.
 
@@ -300,7 +300,7 @@ def _common_point_of_face(work, a, b, c, out):
         out[d] = p[d] + u * (q[d] - p[d]) + v * (r[d] - p[d])
 
 
-@inlined_kernel
+@query_kernel
 def _common_point_of_tetrahedron(work, out):
     """The point nearest to all six planes (least squares), clipped to the tetrahedron of the face points."""
     corners = work.face_points
@@ -332,7 +332,7 @@ def _common_point_of_tetrahedron(work, out):
         out[d] = o[d] + w1 * (corners[1, d] - o[d]) + w2 * (corners[2, d] - o[d]) + w3 * (corners[3, d] - o[d])
 
 
-@inlined_kernel
+@query_kernel
 def _same_plane(p, q, same_way):
     """Whether two planes are bitwise equal, with the same or (not `same_way`) opposite orientation."""
     sign = 1.0 if same_way else -1.0

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from fracture_collision.core.fracture.cut_patterns import CUT_COUNT, CUT_EDGES, PATTERN_OF_CUTS, PATTERN_OF_SIDE
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.mesh.cut_tetrahedron import EDGE_FIRST, EDGE_SECOND, point_on_edge
 
 
-@inlined_kernel
+@query_kernel
 def _load_nodes(mesh, body, node_shift, t, work):
     v = mesh.tetrahedra[t]
     for i in range(4):
@@ -16,7 +16,7 @@ def _load_nodes(mesh, body, node_shift, t, work):
         work.points[i, 0], work.points[i, 1], work.points[i, 2] = p[0], p[1], p[2]
 
 
-@inlined_kernel
+@query_kernel
 def load_sides(mesh, body, broken, t, work):
     """(bit mask of the first fragment's nodes, first fragment, second) of a tetrahedron of two, smaller row first."""
     _load_nodes(mesh, body, broken.node_shift, t, work)
@@ -25,7 +25,7 @@ def load_sides(mesh, body, broken, t, work):
     return (a == low) + 2 * (b == low) + 4 * (c == low) + 8 * (d == low), low, high
 
 
-@inlined_kernel
+@query_kernel
 def load_pattern(mesh, body, broken, t, work):
     """Load a tetrahedron's nodes and labels; returns its pattern."""
     _load_nodes(mesh, body, broken.node_shift, t, work)
@@ -35,7 +35,7 @@ def load_pattern(mesh, body, broken, t, work):
     ]  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def load_plane(mesh, body, broken, t, side, work):
     """Load the crossings of a tetrahedron of two fragments, with the nodes of the first as bit mask `side`.
 

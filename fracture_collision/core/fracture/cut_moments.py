@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from fracture_collision.core.fracture.cut_patterns import PART_COUNT, PART_OF_SIDE, PARTS, SOLID_COUNT, SOLIDS
 from fracture_collision.core.fracture.surface_rows import measure_triangle
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.mesh.cut_tetrahedron import NO_VOLUME
 from fracture_collision.core.mesh.moments import add_row, tetrahedron_terms
 
 
-@inlined_kernel
+@query_kernel
 def add_sides(mesh, t, work, side, pair, broken, moments, has_section):
     """Add the moments of both parts of a tetrahedron to those of its two fragments, a `pair`, that are new.
 
@@ -44,7 +44,7 @@ def add_sides(mesh, t, work, side, pair, broken, moments, has_section):
     return part if s0 < 0.5 * w[0] else 1 - part
 
 
-@inlined_kernel
+@query_kernel
 def add_parts(mesh, work, pattern, broken, moments):
     """Add the moments of all parts between hub and faces to those of the new fragments."""
     o, points = work.hub, work.points

@@ -27,13 +27,13 @@ from fracture_collision.core.fracture.surface_rows import (
     write_fan_row,
     write_row,
 )
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import BACK_VOID, FRONT_VOID, OLD_FACE
 from fracture_collision.core.mesh.closest_point import triangle_normal
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES, SINGULAR
 
 
-@inlined_kernel
+@query_kernel
 def write_section(work, side, pair, plane, out, written, sums):
     """Append the section between the two fragments of a `pair`; grows their boxes and gaps. Returns the end row.
 
@@ -71,7 +71,7 @@ def write_section(work, side, pair, plane, out, written, sums):
     return written
 
 
-@inlined_kernel
+@query_kernel
 def _plane_of_lone_node(work, side, mx, my, mz, longest):
     """Plane (nx, ny, nz, offset) of the section of a tetrahedron with a lone node, out of the first fragment.
 
@@ -89,7 +89,7 @@ def _plane_of_lone_node(work, side, mx, my, mz, longest):
     return sign * mx, sign * my, sign * mz, sign * (mx * a[0] + my * a[1] + mz * a[2])
 
 
-@inlined_kernel
+@query_kernel
 def write_fan(work, pattern, out, written, sums):
     """Append the triangles between hub and faces, each between two fragments; grows their boxes and gaps."""
     a, points, boxes, gaps = work.hub, work.points, sums.boxes, sums.gaps
@@ -109,7 +109,7 @@ def write_fan(work, pattern, out, written, sums):
     return written + FAN_COUNT[pattern]
 
 
-@inlined_kernel
+@query_kernel
 def write_old_faces(mesh, t, work, pattern, out, written, gaps):
     """Append the fragments' shares of the tetrahedron's faces of the old surface."""
     points = work.points

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, KIND, VOID
 
 # A triangle thinner than this (area against its longest side squared) is rounding; other triangles contain its rim.
@@ -43,7 +43,7 @@ class Sums(NamedTuple):
     boxes: np.ndarray  # (F, 6) float64 [m]
 
 
-@inlined_kernel
+@query_kernel
 def measure_triangle(a, b, c):
     """(nx, ny, nz, ab, ac, bc): the normal [m2] of a triangle, twice its area long, and its sides squared [m2]."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -55,7 +55,7 @@ def measure_triangle(a, b, c):
     )  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def gap_of_triangle(ab, ac, bc, samples):
     """Upper bound [m] of the distance from a point of a triangle to the nearest of its last `samples` corners, 1 .. 3.
 
@@ -68,34 +68,34 @@ def gap_of_triangle(ab, ac, bc, samples):
     return gap + math.sqrt(min(ab, ac) if samples == 2 else max(ac, bc))
 
 
-@inlined_kernel
+@query_kernel
 def is_residue(nx, ny, nz, ab, ac):
     """Whether a triangle with this normal and these sides is only rounding."""
     return nx * nx + ny * ny + nz * nz <= (RESIDUE * max(ab, ac)) ** 2
 
 
-@inlined_kernel
+@query_kernel
 def has_no_area(a, b, c):
     """Whether the triangle of three points is only rounding."""
     nx, ny, nz, ab, ac, _ = measure_triangle(a, b, c)
     return is_residue(nx, ny, nz, ab, ac)
 
 
-@inlined_kernel
+@query_kernel
 def grow(box, x, y, z):
     """Grow a box (6,) [m] so that it holds the point (x, y, z)."""
     box[0], box[1], box[2] = min(box[0], x), min(box[1], y), min(box[2], z)
     box[3], box[4], box[5] = max(box[3], x), max(box[4], y), max(box[5], z)
 
 
-@inlined_kernel
+@query_kernel
 def grow_by_box(box, low, high):
     """Grow a box by another box with corners `low` and `high`, tuples of three."""
     box[0], box[1], box[2] = min(box[0], low[0]), min(box[1], low[1]), min(box[2], low[2])
     box[3], box[4], box[5] = max(box[3], high[0]), max(box[4], high[1]), max(box[5], high[2])
 
 
-@inlined_kernel
+@query_kernel
 def write_row(corners, plane_of_it, owners, out, at):
     """Write a triangle to row `at` of SurfaceRows.
 
@@ -112,7 +112,7 @@ def write_row(corners, plane_of_it, owners, out, at):
     sides[FRONT_SIDE], sides[BACK_SIDE], sides[KIND], sides[VOID] = owners
 
 
-@inlined_kernel
+@query_kernel
 def write_fan_row(corners, measures, owners, out, at):
     """write_row for a triangle whose plane follows from its own `measures`.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fracture_collision.core.fracture.cut_patterns import FAN_COUNT, GROUPS, PATTERN_OF_CUTS, PIECE_COUNT
 from fracture_collision.core.fracture.surface_rows import Broken, Sums, gap_of_triangle, grow, measure_triangle
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import OWNER, Pools
 from fracture_collision.core.mesh.cut_tetrahedron import CUT, DIVIDED, FACE_VERTICES, LONE, crossing_share
 from fracture_collision.core.mesh.moments import add_row
@@ -88,7 +88,7 @@ def _find_touched(mesh, body, fragment, broken, cut, tetrahedra, sums, room):
     return used, cuts, rows, first_tet
 
 
-@inlined_kernel
+@query_kernel
 def _inherit(fragment, broken):
     """Copy the body's values to each fragment; set its box empty."""
     parent = broken.parent
@@ -106,7 +106,7 @@ def _inherit(fragment, broken):
             fragment.box[f, i], fragment.box[f, 3 + i] = np.inf, -np.inf
 
 
-@inlined_kernel
+@query_kernel
 def _label(mesh, body, fragment, broken, first_node, cut):
     """Label the nodes with their new fragments, and grow these fragments' boxes."""
     nodes, parts, low, shift = cut.nodes, cut.parts, broken.first, broken.node_shift
@@ -117,7 +117,7 @@ def _label(mesh, body, fragment, broken, first_node, cut):
         grow(fragment.box[low + parts[i]], p[0], p[1], p[2])
 
 
-@inlined_kernel
+@query_kernel
 def _place_crossings(mesh, body, edge_shift, first_edge, cut):
     """Cut the edges of a mesh by their planes: edge_plane, edge_event, edge_share.
 
@@ -131,7 +131,7 @@ def _place_crossings(mesh, body, edge_shift, first_edge, cut):
         body.edge_share[e + edge_shift] = crossing_share(mesh.nodes, a, b, body.planes[first_plane + i])
 
 
-@inlined_kernel
+@query_kernel
 def _sort_all(mesh, body, broken, own, nodes, sums, room):
     """Fill `room` with the tetrahedra of `nodes`; returns (their number, number cut, upper bound of surface rows).
 
@@ -160,7 +160,7 @@ def _sort_all(mesh, body, broken, own, nodes, sums, room):
     return used, cuts, most
 
 
-@inlined_kernel
+@query_kernel
 def _sort_in(mesh, body, broken, t, sums):
     """(kind, 0 if the fracture does not affect it; upper bound of surface rows) of tetrahedron `t`."""
     v, node_shift, tet_shift = mesh.tetrahedra[t], broken.node_shift, broken.tet_shift
@@ -189,7 +189,7 @@ def _sort_in(mesh, body, broken, t, sums):
     return CUT if GROUPS[pattern] == 2 else DIVIDED, most
 
 
-@inlined_kernel
+@query_kernel
 def _gap_of_old_faces(mesh, t):
     v, gap = mesh.tetrahedra[t], 0.0
     for face in range(4):

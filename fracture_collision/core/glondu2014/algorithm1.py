@@ -20,7 +20,7 @@ from fracture_collision.core.contacts.sphere_contacts import sphere_contacts
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, least_distance, sphere_test
 from fracture_collision.core.glondu2014.paper_pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.glondu2014.paper_probe import paper_probe
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import SPHERE, TRIANGLES, is_bounded
 from fracture_collision.core.memory.rotations import to_other
 from fracture_collision.core.search.depth_limits import depth_limit
@@ -99,7 +99,7 @@ def algorithm1(pools, paper, pair, rule, budget, sink, scratch):
     return found.count, found.bound + slack, visits, is_cut
 
 
-@inlined_kernel
+@query_kernel
 def _spheres(pools, pair, rule, sink, scratch):
     """(Selected, whether a limit left something out) of a Pair with a sphere: nothing, if it has none."""
     kinds = pools.fragment.kind
@@ -109,7 +109,7 @@ def _spheres(pools, pair, rule, sink, scratch):
     return Selected(count, bound), is_cut
 
 
-@inlined_kernel
+@query_kernel
 def _put_roots(pools, paper, pair, scratch):
     """Put the roots of both trees into the first queue; returns their number, 0 if one of the two is a sphere."""
     nodes, trees, kinds = 0, paper.trees, pools.fragment.kind
@@ -122,7 +122,7 @@ def _put_roots(pools, paper, pair, scratch):
     return nodes
 
 
-@inlined_kernel
+@query_kernel
 def _put_node(pools, paper, pair, reached, k, scratch):
     """Write node k for a tree entry and side that has not been tested."""
     entry, side = reached
@@ -133,7 +133,7 @@ def _put_node(pools, paper, pair, reached, k, scratch):
     place[DEPTH] = -least_distance(pools, pair.b if side == 0 else pair.a, x, y, z)
 
 
-@inlined_kernel
+@query_kernel
 def _put_child(pools, paper, pair, parent, child, k, scratch):
     """Write node k for a `child`, a tree entry, of node `parent`; returns whether there is anything to visit."""
     entries, node = paper.trees.entries, scratch.node_int[parent]
@@ -150,7 +150,7 @@ def _put_child(pools, paper, pair, parent, child, k, scratch):
     return entries[child, SIZE] > 1
 
 
-@inlined_kernel
+@query_kernel
 def _boxes_are_apart(pools, pair, near):
     """Whether the boxes of a Pair are more than `near` [m] apart; never those of planes."""
     a, b, rotation, translation = pair
@@ -159,7 +159,7 @@ def _boxes_are_apart(pools, pair, near):
     return box_clearance(pools.fragment.box[a], pools.fragment.box[b], rotation[0], translation[0], near) > near
 
 
-@inlined_kernel
+@query_kernel
 def _test_point(pools, paper, other, k, rule, found, sink, scratch):
     """Test the point of node k in `other` and take it as a contact if it counts; returns the new Selected."""
     node, p = scratch.node_int[k], scratch.node_float[k]
@@ -184,7 +184,7 @@ def _test_point(pools, paper, other, k, rule, found, sink, scratch):
     return Selected(found.count + 1, found.bound)
 
 
-@inlined_kernel
+@query_kernel
 def _may_count_below(pools, paper, other, k, least, was_tested, scratch):
     """Whether a point below node k may be deeper in `other` than `least` [m], minus a distance outside.
 
@@ -203,7 +203,7 @@ def _may_count_below(pools, paper, other, k, least, was_tested, scratch):
     return was_tested or sphere_test(pools, other, -p[DEPTH], p[0], p[1], p[2], around, scratch)
 
 
-@inlined_kernel
+@query_kernel
 def _may_reach(pools, paper, other, k, near, scratch):
     """Whether the sphere of node k may be within `near` [m] of `other`."""
     node, p = scratch.node_int[k], scratch.node_float[k]
@@ -216,7 +216,7 @@ def _may_reach(pools, paper, other, k, near, scratch):
     return sphere_test(pools, other, -p[DEPTH], p[0], p[1], p[2], paper.trees.spheres[entry, 3] + near, scratch)
 
 
-@inlined_kernel
+@query_kernel
 def _bound_of_rest(pools, paper, pair, queued, scratch):
     """Upper bound [m] of the depth of all samples at and below the `queued` nodes (n,)."""
     bound = 0.0

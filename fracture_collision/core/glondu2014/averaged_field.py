@@ -20,11 +20,11 @@ from fracture_collision.core.field.flood import (
     nothing_within,
     outward_direction,
 )
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import OWNER
 
 
-@inlined_kernel
+@query_kernel
 def propagated_distance(stored, px, py, pz):
     """Distance [m] to the plane that a node's distance and direction (node_field row) define at the nearest surface.
 
@@ -33,7 +33,7 @@ def propagated_distance(stored, px, py, pz):
     return stored[0] + stored[1] * px + stored[2] * py + stored[3] * pz
 
 
-@inlined_kernel
+@query_kernel
 def whole_body_depth(field, k, x, y, z):
     """Depth [m] in the unbroken body of mesh `k`, trilinear on its dense grid, and its gradient (depth, gx, gy, gz)."""
     grid, dims = field.grid[k], field.grid_dims[k]
@@ -57,7 +57,7 @@ def whole_body_depth(field, k, x, y, z):
     return a2 + u * (b2 - a2), gx / cell, gy / cell, gz / cell
 
 
-@inlined_kernel
+@query_kernel
 def averaged_penetration(pools, field, f, t, x, y, z):
     """(depth [m], nx, ny, nz, most [m]) of a point that fragment `f` of a broken body owns in tetrahedron `t`.
 

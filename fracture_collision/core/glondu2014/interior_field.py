@@ -21,8 +21,8 @@ from fracture_collision.core.mesh.triangle_field import (
 from fracture_collision.grouping import begins_of
 
 # Grid cells along a cell of the location grid, which is about an edge long. Interpolation is wrong where the nearest
-# surface changes within a cell; three cells per edge keep that error below the error of eq. 1 between nodes, with fewer
-# than ten values per tetrahedron (benchmarks/field_errors.py prints both).
+# surface changes within a cell; three cells per edge keep that error below the error of eq. 1 between nodes, with 5 to
+# 12 values per tetrahedron (benchmarks/field_errors.py prints both).
 CELLS_PER_EDGE = 3
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.glondu2014.point_hierarchy import build_point_hierarchy, greatest_distance_squared
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.mesh.closest_point import box_distance_squared
 
 
@@ -41,13 +41,13 @@ def max_distance_order(points: np.ndarray) -> MaxDistanceOrder:
 STACK = 128
 
 
-@inlined_kernel
+@query_kernel
 def _comes_before(a, b, c, d):
     """Whether the pair (a, b) is lexicographically lower than (c, d)."""
     return a < c or (a == c and b < d)
 
 
-@inlined_kernel
+@query_kernel
 def _lowest_pair(lowest, a, b):
     """Lexicographic lower bound of the pairs of points, one below node a and the other below b."""
     return min(lowest[a], lowest[b]), max(lowest[a], lowest[b]) + (1 if a == b else 0)

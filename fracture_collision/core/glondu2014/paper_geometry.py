@@ -10,10 +10,18 @@ from fracture_collision.core.fracture.surface_rows import Broken
 from fracture_collision.core.glondu2014.fragment_trees import TreeTable
 from fracture_collision.core.glondu2014.front_propagation import update_averaged_field
 from fracture_collision.core.glondu2014.interior_field import InteriorField, make_interior_field
-from fracture_collision.core.glondu2014.paper_pools import AVERAGED, QUEUE, REBUILT, FieldPool, PaperPools
+from fracture_collision.core.glondu2014.paper_pools import (
+    AVERAGED,
+    GRID_POINT,
+    QUEUE,
+    REBUILT,
+    TREE_ENTRY,
+    FieldPool,
+    PaperPools,
+)
 from fracture_collision.core.glondu2014.sphere_tree import SphereTree, build_sphere_tree
-from fracture_collision.core.memory.moves import Moves, moves_of_ranges
-from fracture_collision.core.memory.pools import GrowableArray, Pools
+from fracture_collision.core.memory.pools import MESH, Pools
+from fracture_collision.core.memory.tables import Moves, Table, moves_of_ranges
 from fracture_collision.core.mesh.sample_numbers import NewSamples
 from fracture_collision.core.mesh.tet_mesh import TetMesh
 
@@ -35,15 +43,16 @@ class PaperGeometry:
         self._field, self._tree, self._in_a_row = field, tree, traversal == QUEUE
         self._trees = TreeTable()
         self._whole: list[tuple[Preprocess, tuple[int, int]]] = []  # and the entries of its tree
-        self._node_field = GrowableArray(7, np.float64)
-        self._grid, self._grid_dims = GrowableArray(4, np.float64), GrowableArray(4, np.int32)
-        self._grid_depth = GrowableArray(0, np.float64)
+        self._values = Table(FieldPool)
+        self._pools: PaperPools | None = None
 
     @property
     def pools(self) -> PaperPools:
-        """As kernels read it; valid until the next change."""
-        field = FieldPool(self._node_field.view, self._grid.view, self._grid_dims.view, self._grid_depth.view)
-        return PaperPools(self._trees.view, field, self._field == AVERAGED, self._in_a_row)
+        """As kernels read it; the same until the next change."""
+        trees, field = self._trees.view, self._values.view
+        if self._pools is None or self._pools.trees is not trees or self._pools.field is not field:
+            self._pools = PaperPools(trees, field, self._field == AVERAGED, self._in_a_row)
+        return self._pools
 
     def sphere_tree(self, row: int) -> SphereTree:
         """A copy of a fragment's tree."""
@@ -70,13 +79,12 @@ class PaperGeometry:
         if not made.interior:
             made.interior.append(make_interior_field(mesh))
         interior = made.interior[0]
-        self._node_field.append(interior.node_field)
-        if self._grid.used <= number:
-            self._grid.fill(number + 1 - self._grid.used, np.zeros(4))
-            self._grid_dims.fill(number + 1 - self._grid_dims.used, np.zeros(4, np.int32))
-        if self._grid_dims.view[number, 0] == 0:
-            self._grid.view[number] = np.append(interior.origin, interior.cell)
-            self._grid_dims.view[number] = np.append(interior.dims, self._grid_depth.append(interior.depth))
+        self._values["node_field"].append(interior.node_field)
+        self._fill_up(number + 1)
+        dims = self._values["grid_dims"].view
+        if dims[number, 0] == 0:
+            self._values["grid"].view[number] = np.append(interior.origin, interior.cell)
+            dims[number] = np.append(interior.dims, self._values["grid_depth"].append(interior.depth))
 
     def break_fragment(
         self, pools: Pools, broken: Broken, new: NewSamples, tetrahedra: tuple[np.ndarray, int], made: Preprocess
@@ -92,23 +100,25 @@ class PaperGeometry:
         if self._field == AVERAGED:
             interior = made.interior[0]
             neighbours = interior.neighbours_begin, interior.neighbours
-            update_averaged_field(pools, self._node_field.view, neighbours, broken, *tetrahedra)
+            update_averaged_field(pools, self._values["node_field"].view, neighbours, broken, *tetrahedra)
 
-    def keep(self, fragments: Moves, nodes: Moves, meshes: Moves) -> None:
-        """Keep what belongs to the rows that stay: of fragments, of BodyPool's nodes and of meshes."""
-        moved = self._trees.keep(fragments.stays)
+    def keep(self, moves: dict[str, Moves]) -> None:
+        """Keep what belongs to rows that stay, by the moves of all of them."""
+        self._trees.keep(moves)
+        trees = moves[TREE_ENTRY]
         # a later body of an equal geometry appends its tree again
         self._whole = [
-            (made, (int(moved.of(begin)), int(moved.of(end))))
+            (made, (int(trees.of(begin)), int(trees.of(end))))
             for made, (begin, end) in self._whole
-            if moved.stays[begin:end].all()
+            if trees.stays[begin:end].all()
         ]
-        if self._field != AVERAGED:
-            return
-        self._node_field.keep(nodes.stays)
-        stays = meshes.stays[: self._grid.used]
-        dims = self._grid_dims.view[stays].astype(np.int64)
-        depths = moves_of_ranges(self._grid_depth.used, dims[:, 3], dims[:, 3] + dims[:, :3].prod(axis=1))
-        self._grid.keep(stays)
-        self._grid_depth.keep(depths.stays)
-        self._grid_dims.replace(np.column_stack([dims[:, :3], depths.of(dims[:, 3])]))
+        self._fill_up(len(moves[MESH].stays))
+        dims = self._values["grid_dims"].view[moves[MESH].stays].astype(np.int64)
+        ends = dims[:, 3] + dims[:, :3].prod(axis=1)
+        moves[GRID_POINT] = moves_of_ranges(self._values["grid_depth"].used, dims[:, 3], ends)
+        self._values.move(moves)
+
+    def _fill_up(self, meshes: int) -> None:
+        """Meshes of which no body is broken have a row, too."""
+        for name in ("grid", "grid_dims"):
+            self._values[name].fill(max(meshes - self._values[name].used, 0), 0)

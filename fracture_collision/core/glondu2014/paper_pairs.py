@@ -9,10 +9,10 @@ from fracture_collision.core.glondu2014.algorithm1 import algorithm1
 from fracture_collision.core.glondu2014.paper_pools import PaperPools
 from fracture_collision.core.memory.compiled import threaded_kernel
 from fracture_collision.core.memory.crew import Crew
-from fracture_collision.core.memory.pair import Sink, Step, put_pair
+from fracture_collision.core.memory.pair import Step, put_pair
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.search.kept_answer import PairContacts
-from fracture_collision.core.search.passes import Passes
+from fracture_collision.core.search.passes import NO_ROOM, Found, Passes, keep_found, room_of
 from fracture_collision.core.search.scratch import Scratch
 from fracture_collision.core.search.work_limit import BY_LIMIT, COMPLETE, LEAST
 from fracture_collision.grouping import begins_of
@@ -30,35 +30,31 @@ def query_by_paper(
     share of its visits.
     """
     search = Passes(step, *own)
+    counts, bounds, visits, exhausted, *_ = search.columns
     budgets = np.zeros(len(step.pairs), np.int64)
     if rule.every > 1:
         budgets = VISITS_EACH * np.maximum(within // rule.every, LEAST)
-    todo = np.arange(len(step.pairs))
+    todo, again = np.arange(len(step.pairs)), False
     while len(todo):
-        todo = search.run(_query_share, todo, (pools, paper), step, rule, budgets)
-    out = search.out
-    return PairContacts(
-        out.counts, out.bounds, out.visits, out.exhausted, *search.gather(begins_of(out.counts))
-    )
+        out = search.new(todo, again)
+        search.run(_query_share, pools, paper, step, rule, (todo, budgets), out)
+        todo, again = todo[out.begin[todo] == NO_ROOM], True
+    return PairContacts(counts, bounds, visits, exhausted, *search.gather(begins_of(counts)))
 
 
 @threaded_kernel
-def _query_share(geometry, step, rule, budgets, todo, out, own, part):
-    """Process every pair of `todo` (m,) that is a thread's, see Crew.share; budgets (p,): 0: no limit.
+def _query_share(pools, paper, step, rule, work, out, scratch, part):
+    """Process every pair that is a thread's, see Crew.share.
 
-    geometry: Pools and PaperPools.
+    work: the pairs (m,), and the visits that each may take (p,), 0: any number.
     """
-    (pools, paper), (thread, threads) = geometry, part
-    used, room = 0, len(own.sink.contacts)
+    (todo, budgets), (thread, threads) = work, part
     for k in range(thread, len(todo), threads):
         p = todo[k]
-        pair = put_pair(step, p, own.scratch.rotation, own.scratch.translation)
+        pair = put_pair(step, p, scratch.rotation, scratch.translation)
         radius = min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
         its = Rule(rule.wanted, rule.most, rule.epsilon * radius, rule.near * radius, rule.every)
-        sink = Sink(own.sink.contacts[used:], own.sink.ids[used:])
-        count, bound, visits, is_cut = algorithm1(pools, paper, pair, its, budgets[p], sink, own.scratch)
-        out.counts[p], out.bounds[p], out.visits[p] = count, bound, visits
-        out.exhausted[p] = BY_LIMIT if is_cut else COMPLETE
-        if count <= room - used:
-            out.begin[p] = used
-            used += count
+        count, bound, visits, is_cut = algorithm1(
+            pools, paper, pair, its, budgets[p], room_of(out, thread), scratch
+        )
+        keep_found(out, p, thread, Found(count, bound, visits, BY_LIMIT if is_cut else COMPLETE, 0.0))

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
+
+from fracture_collision.core.memory.pools import BODY_NODE, FRAGMENT, MESH, f8, i4
+from fracture_collision.core.memory.struct import Struct
+from fracture_collision.core.memory.tables import Column
 
 AVERAGED = "averaged"
 RESTRUCTURED, PLAIN, REBUILT = "restructured", "plain", "rebuilt"
 QUEUE = "queue"
 
 
-class TreePool(NamedTuple):
+TREE_ENTRY, GRID_POINT = "tree entry", "grid point"
+
+
+class TreePool(Struct):
     """Sphere trees in preorder (sphere_tree.py); the values that a visit reads are adjacent."""
 
-    spheres: np.ndarray  # (S, 4) float64 [m], centre in the body frame, radius
-    entries: np.ndarray  # (S, 3) int32: SIZE, SAMPLE, SURFACE
-    ranges: np.ndarray  # (F, 2) int32: first entry of each fragment, end; equal for planes and spheres
+    spheres: Annotated[np.ndarray, Column(TREE_ENTRY, f8, 4)]  # [m], centre in the body frame, radius
+    entries: Annotated[np.ndarray, Column(TREE_ENTRY, i4, 3)]  # SIZE, SAMPLE, SURFACE
+    # first entry of each fragment, end; equal for planes and spheres
+    ranges: Annotated[np.ndarray, Column(FRAGMENT, i4, 2, TREE_ENTRY)]
 
 
 # Columns of TreePool.entries.
@@ -27,17 +35,19 @@ OWN_SAMPLE = 1
 NONE_BELOW = -1
 
 
-class FieldPool(NamedTuple):
+class FieldPool(Struct):
     """The averaged field of broken bodies (4.1 - 4.4); no rows under the exact field."""
 
-    # rows as BodyPool.node_fragment: d [m] and unit n of eq. 1-2, then a point [m] that is certainly not inside
-    node_field: np.ndarray  # (., 7) float64
-    grid: np.ndarray  # (meshes, 4) float64: first point of the dense grid [m], cell [m]
-    grid_dims: np.ndarray  # (meshes, 4) int32: grid points along x, y, z; first entry in grid_depth
-    grid_depth: np.ndarray  # float64 [m] signed distance of the unbroken body, positive inside
+    # d [m] and unit n of eq. 1-2, then a point [m] that is certainly not inside
+    node_field: Annotated[np.ndarray, Column(BODY_NODE, f8, 7)]
+    grid: Annotated[np.ndarray, Column(MESH, f8, 4)]  # first point of the dense grid [m], cell [m]
+    # grid points along x, y, z; first entry in grid_depth
+    grid_dims: Annotated[np.ndarray, Column(MESH, i4, 4, (None, None, None, GRID_POINT))]
+    # [m] signed distance of the unbroken body, positive inside
+    grid_depth: Annotated[np.ndarray, Column(GRID_POINT, f8)]
 
 
-class PaperPools(NamedTuple):
+class PaperPools(Struct):
     """All of them, and two of the paper's variants."""
 
     trees: TreePool

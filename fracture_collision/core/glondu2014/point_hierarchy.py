@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 # Minimum points per leaf (a smaller cloud is one leaf); the maximum is twice as many.
 LEAF_POINTS = 8
@@ -55,7 +55,7 @@ def build_point_hierarchy(points: np.ndarray) -> PointHierarchy:
     )
 
 
-@inlined_kernel
+@query_kernel
 def greatest_distance_squared(a, b):
     """Upper bound [m2] of the squared distance between a point of box `a` (6,) and one of box `b`."""
     dx = max(a[3] - b[0], b[3] - a[0])

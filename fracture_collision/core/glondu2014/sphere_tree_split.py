@@ -22,7 +22,7 @@ import numpy as np
 from fracture_collision import grouping
 from fracture_collision.core.glondu2014.paper_pools import NONE_BELOW, OWN_SAMPLE, SAMPLE, SIZE, SURFACE
 from fracture_collision.core.glondu2014.sphere_tree_deal import deal_tree, find_parents
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 
 _grouped = kernel(grouping.grouped)
 NONE = -1
@@ -159,7 +159,7 @@ def _take_first_points(size, share):
             _take_point(share, i, i + 1)
 
 
-@inlined_kernel
+@query_kernel
 def _take_point(share, entry, other):
     s, c = share.spheres[entry], share.spheres[other]
     s[0], s[1], s[2] = c[0], c[1], c[2]
@@ -167,7 +167,7 @@ def _take_point(share, entry, other):
     share.stale[entry] = 1
 
 
-@inlined_kernel
+@query_kernel
 def _squared(p, q):
     dx, dy, dz = p[0] - q[0], p[1] - q[1], p[2] - q[2]
     return dx * dx + dy * dy + dz * dz
@@ -231,7 +231,7 @@ def _place(size, share, own, points, parents, ordered, leaf_of, new):
         share.added[entry] += 1
 
 
-@inlined_kernel
+@query_kernel
 def _reach(sphere, d2):
     if d2 > sphere[3] * sphere[3]:
         sphere[3] = max(sphere[3], np.sqrt(d2))
@@ -310,7 +310,7 @@ def _write(size, share, own, added_points, new, out):
         _write_entry(out, at, p, 0.0, (1, added_points.samples[q], OWN_SAMPLE))
 
 
-@inlined_kernel
+@query_kernel
 def _write_entry(out, at, center, radius, entry):
     """Write a sphere (centre, radius) [m] and its `entry` (size, sample, mark) to row `at` of TreeArrays."""
     s, e = out.spheres[at], out.entries[at]

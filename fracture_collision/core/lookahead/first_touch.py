@@ -34,7 +34,7 @@ from fracture_collision.core.lookahead.staying_apart import (
     least_gap_ahead,
     thickness,
 )
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel, spliced_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import SPHERE
 from fracture_collision.core.memory.pair import Sink
 from fracture_collision.core.memory.rotations import rotated
@@ -182,7 +182,7 @@ def first_touch(pools, edges, pair, moving, since, rule, sink, scratch):
     return new, t, visits, unseen
 
 
-@spliced_kernel
+@query_kernel
 def near_now(pools, edges, pair, rule, search, listed, sink, scratch):
     """Contacts of a Pair at its relative poses, by a Rule, written to a Sink.
 
@@ -232,7 +232,7 @@ def near_now(pools, edges, pair, rule, search, listed, sink, scratch):
     return found, min(lasts, left), Listed(count, crossings, lasts), visits
 
 
-@inlined_kernel
+@query_kernel
 def _drop_near(samples, places, count):
     """Remove those of `count` listed samples that were near; returns the number that remains."""
     kept = 0
@@ -246,7 +246,7 @@ def _drop_near(samples, places, count):
     return kept
 
 
-@inlined_kernel
+@query_kernel
 def _clearance_of_sphere(pools, a, b, translation, near, far, scratch):
     """Lower bound [m] of the clearance beyond `near` between a sphere and another fragment, up to `far`; 0: none."""
     sphere, other, p = (a, b, translation[0]) if pools.fragment.kind[a] == SPHERE else (b, a, translation[1])

@@ -6,12 +6,12 @@ import math
 
 from fracture_collision.core.contacts.known_samples import ID_SAMPLE, ID_SIDE
 from fracture_collision.core.lookahead.motion import put_pose
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import SPHERE
 from fracture_collision.core.memory.rotations import relative_pose, rotated, to_other, turned_back
 
 
-@inlined_kernel
+@query_kernel
 def put_poses(moving, t, of_world, place, pair):
     """Compute the poses of the two fragments of a Moving after `t` [s].
 
@@ -24,7 +24,7 @@ def put_poses(moving, t, of_world, place, pair):
     relative_pose(of_world[1], place[1], of_world[0], place[0], pair.rotation[1], pair.translation[1])
 
 
-@inlined_kernel
+@query_kernel
 def keep_new(sink, known, found, near):
     """Of `found` contacts behind the `known` ones, keep those that are apart now and not among the known.
 
@@ -45,7 +45,7 @@ def keep_new(sink, known, found, near):
     return kept - known
 
 
-@inlined_kernel
+@query_kernel
 def gap_then(sink, begin, end, moving, pair):
     """The least gap [m] of contacts begin .. end - 1 of a Sink, given in current frames, at the Pair's relative poses.
 
@@ -66,7 +66,7 @@ def gap_then(sink, begin, end, moving, pair):
     return least
 
 
-@inlined_kernel
+@query_kernel
 def bring_back(pools, moving, of_world, pair, sink, count):
     """Transform the first `count` contacts of a Sink from a later moment to current frames.
 

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision import portable_math
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.kinds import is_bounded
 from fracture_collision.core.memory.rotations import turned_back
 
-_sine_after = inlined_kernel(portable_math.sine_after)
+_sine_after = query_kernel(portable_math.sine_after)
 # A body that turns by no more than this [rad] moves as if straight: directions of the end hold for now, too.
 MOST_TURN = 0.12
 # [m] reach of a plane: in a rotating frame some of its points are arbitrarily fast.
@@ -87,7 +87,7 @@ def fastest(velocities):
     return most
 
 
-@inlined_kernel
+@query_kernel
 def put_pose(motion, rotations, positions, i, t, rotation, position):
     """Write the pose of fragment i after `t` [s] to rotation (3, 3) and position (3,) [m].
 
@@ -114,7 +114,7 @@ def put_pose(motion, rotations, positions, i, t, rotation, position):
     position[2] = c[2] + t * motion.linear[i, 2] + z
 
 
-@inlined_kernel
+@query_kernel
 def _turned(u, sine, versine, x, y, z):
     cx, cy, cz = u[1] * z - u[2] * y, u[2] * x - u[0] * z, u[0] * y - u[1] * x
     return (
@@ -124,18 +124,18 @@ def _turned(u, sine, versine, x, y, z):
     )
 
 
-@inlined_kernel
+@query_kernel
 def _spin(w):
     return math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
 
 
-@inlined_kernel
+@query_kernel
 def turned_in(motion, i, left):
     """Angle by which fragment i turns in `left` [s]."""
     return _spin(motion.angular[i]) * left
 
 
-@inlined_kernel
+@query_kernel
 def _seen_from(motion, i, j, t, left):
     """Motion of fragment i in the frame of fragment j, from `t` [s] on for `left` [s].
 
@@ -157,7 +157,7 @@ def _seen_from(motion, i, j, t, left):
     return x, y, z, turning * motion.reach[i], farther, turned * math.sqrt(x * x + y * y + z * z)
 
 
-@inlined_kernel
+@query_kernel
 def closing_speed(motion, i, j, t, left):
     """Upper bound [m/s] on how fast a point of i and a point of j approach each other, from `t` [s] on for `left` [s].
 
@@ -169,7 +169,7 @@ def closing_speed(motion, i, j, t, left):
     return min(speed, math.sqrt(x * x + y * y + z * z) + turning + farther)
 
 
-@inlined_kernel
+@query_kernel
 def closing_along(motion, i, j, t, left, x, y, z):
     """Upper bound [m/s] on how fast the hulls of i and j approach each other along a direction; negative: they part.
 
@@ -187,7 +187,7 @@ def closing_along(motion, i, j, t, left, x, y, z):
     return min(closing, turning + farther + sway + (x * vx + y * vy + z * vz))
 
 
-@inlined_kernel
+@query_kernel
 def put_way(motion, i, j, t, left, time, turn, out):
     """Write how points of fragment i move in the frame of fragment j within `time` [s] of the `left` [s] from t on.
 
@@ -201,14 +201,14 @@ def put_way(motion, i, j, t, left, time, turn, out):
     out[6], out[7] = time * (farther + sway), time * _spin(w) * left * turning
 
 
-@inlined_kernel
+@query_kernel
 def between_balls(motion, i, j):
     """Lower bound [m] of the current distance, by the balls about the centres of mass; negative: the balls overlap."""
     a, b = motion.centers[i], motion.centers[j]
     return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2) - motion.reach[i] - motion.reach[j]
 
 
-@inlined_kernel
+@query_kernel
 def sweep_box(motion, i, box):
     """Grow a world box (6,) [m] of fragment i so that it holds the fragment at all times ahead."""
     turn = _spin(motion.angular[i]) * motion.reach[i] * motion.time

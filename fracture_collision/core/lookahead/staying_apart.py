@@ -12,7 +12,7 @@ import math
 from fracture_collision.core.contacts.known_samples import rounding_slack
 from fracture_collision.core.lookahead.later_contacts import gap_then, put_poses
 from fracture_collision.core.lookahead.motion import closing_along, closing_speed, put_pose, turned_in
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import PLANE, SPHERE, is_bounded
 from fracture_collision.core.memory.rotations import rotated, turned_back
 from fracture_collision.core.samples.sample_leaves import farthest_sample, leaves_of
@@ -26,7 +26,7 @@ ABOUT_TO = 0.1
 SINKS = 2.0
 
 
-@inlined_kernel
+@query_kernel
 def boxes_stay_apart(pools, pair, moving, near):
     """Whether two boxes stay more than `near` [m] apart along one of their axes.
 
@@ -57,7 +57,7 @@ def boxes_stay_apart(pools, pair, moving, near):
     return False
 
 
-@inlined_kernel
+@query_kernel
 def hulls_stay_apart(pools, pair, moving, near, toward, scratch):
     """Whether two hulls stay more than `near` [m] apart along a direction.
 
@@ -77,7 +77,7 @@ def hulls_stay_apart(pools, pair, moving, near, toward, scratch):
     return least_gap_ahead(pools, pair, moving, 0.0, gap, n, slack, scratch) > near
 
 
-@inlined_kernel
+@query_kernel
 def may_touch_again(pools, pair, moving, moment, sink, epsilon, scratch):
     """Whether two fragments that touch, or are about to, may touch elsewhere before the time is over.
 
@@ -119,13 +119,13 @@ def may_touch_again(pools, pair, moving, moment, sink, epsilon, scratch):
     return ahead < -allowed
 
 
-@inlined_kernel
+@query_kernel
 def has_plane(pools, a, b):
     """Whether one of two fragments is a plane."""
     return pools.fragment.kind[a] == PLANE or pools.fragment.kind[b] == PLANE
 
 
-@inlined_kernel
+@query_kernel
 def thickness(boxes, a, b):
     """Thickness [m] of the thinner of two: the shortest side of its box."""
     least = math.inf
@@ -135,7 +135,7 @@ def thickness(boxes, a, b):
     return least
 
 
-@inlined_kernel
+@query_kernel
 def gap_of_hulls(pools, pair, enough, toward, scratch, most_steps=MOST_STEPS):
     """Lower bound [m] of the distance between the hulls of a Pair, and its direction.
 
@@ -165,7 +165,7 @@ def gap_of_hulls(pools, pair, enough, toward, scratch, most_steps=MOST_STEPS):
     return low - high - rounding, n[0], n[1], n[2]
 
 
-@inlined_kernel
+@query_kernel
 def _reach_of_hull(pools, f, x, y, z, bounds):
     """Upper bound [m] of a fragment's extent along a unit vector (x, y, z) of its frame; bounds: working space."""
     leaves = leaves_of(pools, f)
@@ -174,7 +174,7 @@ def _reach_of_hull(pools, f, x, y, z, bounds):
     return reach + m[3] + x * m[0] + y * m[1] + z * m[2]
 
 
-@inlined_kernel
+@query_kernel
 def least_gap_ahead(pools, pair, moving, t, gap, n, slack, scratch):
     """Lower bound [m] of the gap between two hulls along a direction, from `t` [s] to the end of the time.
 

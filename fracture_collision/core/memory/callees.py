@@ -87,9 +87,6 @@ class CalleeLowering(NativeLowering):
         flags.no_cpython_wrapper = flags.no_cfunc_wrapper = flags.no_compile = True
         state.library = UnlinkedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         super().run_pass(state)
-        if not flags.nrt and not flags.forceinline:
-            # LLVM takes the many arguments of a call for its cost, and would inline functions of any size, anywhere.
-            state.library._final_module.get_function(state["cr"].fndesc.llvm_func_name).add_function_attribute("noinline")
         state.library.finalize()
         key = CallableFromKernels()
         state.targetctx.insert_user_function(key, state["cr"].fndesc, [state.library])

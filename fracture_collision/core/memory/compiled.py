@@ -33,16 +33,11 @@ def _cached(**options: Any) -> Callable[[Callable], Any]:
 
 
 kernel = _cached()
-# Query kernels allocate nothing, so reference counting is off: with it, six sevenths of a query's time went into atomic
-# increments for arrays taken out of the pools. Where another kernel calls one, it stays a call (callees.py).
-query_kernel = _cached(_nrt=False, forceinline=False)  # unset, it would be inherited from the caller
+# Queries allocate nothing, so reference counting is off: with it, six sevenths of a query's time went into atomic
+# increments for arrays taken out of the pools.
+query_kernel = _cached(_nrt=False)
 # For kernels that allocate and that query kernels call: numba would otherwise let them inherit that reference counting
 # is off. They return no arrays.
-allocating_kernel = _cached(_nrt=True, forceinline=False)
-# For the inner loops of a query: a call would copy the pools, several hundred words, onto the stack.
-inlined_kernel = _cached(_nrt=False, forceinline=True)
-# For code that only structures one large kernel: numba inserts it into its caller and does not compile it on its own.
-# Compiling a kernel generates all that it calls again, so a level of calls, even inlined, costs as much as its kernel.
-spliced_kernel = _cached(_nrt=False, inline="always")
+allocating_kernel = _cached(_nrt=True)
 # For kernels that a crew of threads runs in parallel: releases the GIL.
 threaded_kernel = _cached(_nrt=False, nogil=True)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 
-@inlined_kernel
+@query_kernel
 def push(keys, items, count, key, item):
     """Add an entry to a heap of `count` entries."""
     i = count
@@ -18,7 +18,7 @@ def push(keys, items, count, key, item):
     keys[i], items[i] = key, item
 
 
-@inlined_kernel
+@query_kernel
 def pop(keys, items, count):
     """Remove the root of a heap of `count` entries; the caller reads it first."""
     last = count - 1

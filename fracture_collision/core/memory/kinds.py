@@ -7,7 +7,7 @@ choose by kind how they compute: the probe (field/elementary_queries.py), the sp
 
 from __future__ import annotations
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 PLANE = 0
 SPHERE = 1
@@ -17,19 +17,19 @@ TRIANGLES = 4
 WITH_FACES, MESHES = (BOX, TETRAHEDRA, TRIANGLES), (TETRAHEDRA, TRIANGLES)
 
 
-@inlined_kernel
+@query_kernel
 def is_bounded(kind):
     """Whether a fragment has a finite box."""
     return kind != PLANE
 
 
-@inlined_kernel
+@query_kernel
 def has_faces(kind):
     """Whether a fragment has flat faces, edges between them, and samples whose hull contains its surface."""
     return kind in WITH_FACES
 
 
-@inlined_kernel
+@query_kernel
 def is_mesh(kind):
     """Whether queries search a mesh, and are slow: other kinds have a closed form."""
     return kind in MESHES

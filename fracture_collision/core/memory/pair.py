@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.rotations import relative_pose
 
 
@@ -28,7 +28,7 @@ class Step(NamedTuple):
     pairs: np.ndarray  # (p, 2) int64: indices into `rows`
 
 
-@inlined_kernel
+@query_kernel
 def put_pair(step, p, rotation, translation):
     """Pair number p of a Step.
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 
-@inlined_kernel
+@query_kernel
 def rotated(rotation, x, y, z):
     """Apply rotation (3, 3) to (x, y, z)."""
     return (
@@ -15,14 +15,14 @@ def rotated(rotation, x, y, z):
     )
 
 
-@inlined_kernel
+@query_kernel
 def to_other(rotation, translation, x, y, z):
     """Apply rotation (3, 3), then translation (3,) [m] to the point (x, y, z)."""
     x, y, z = rotated(rotation, x, y, z)
     return x + translation[0], y + translation[1], z + translation[2]
 
 
-@inlined_kernel
+@query_kernel
 def turned_back(rotation, x, y, z):
     """Apply the inverse of rotation (3, 3) to (x, y, z)."""
     return (
@@ -32,7 +32,7 @@ def turned_back(rotation, x, y, z):
     )
 
 
-@inlined_kernel
+@query_kernel
 def relative_pose(rotation_from, position_from, rotation_to, position_to, rotation, translation):
     """Write the pose from one fragment's body frame to another's to rotation (3, 3) and translation (3,) [m].
 
@@ -50,7 +50,7 @@ def relative_pose(rotation_from, position_from, rotation_to, position_to, rotati
             )
 
 
-@inlined_kernel
+@query_kernel
 def put_rotation(x, y, z, w, out):
     """Write the rotation matrix (3, 3) of a quaternion of any length."""
     s = 2.0 / (x * x + y * y + z * z + w * w)

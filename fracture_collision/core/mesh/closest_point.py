@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 # Which part of a triangle abc holds the closest point: the face, an edge ab, bc or ca (1 .. 3), a corner (4 .. 6).
 ON_FACE = 0
@@ -17,7 +17,7 @@ ON_RIM = 1  # and above: an edge or a corner
 DIRECTION_FLOOR = 1e-12
 
 
-@inlined_kernel
+@query_kernel
 def box_distance_squared(x, y, z, box):
     """Squared distance [m2] of a point from an axis-aligned box (6,) = lower corner, upper corner; 0 inside."""
     dx = max(box[0] - x, 0.0, x - box[3])
@@ -26,7 +26,7 @@ def box_distance_squared(x, y, z, box):
     return dx * dx + dy * dy + dz * dz
 
 
-@inlined_kernel
+@query_kernel
 def closest_on_triangle(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz):
     """Closest point of a triangle: (squared distance, x, y, z, feature 0 .. 6)."""
     abx, aby, abz = bx - ax, by - ay, bz - az
@@ -80,7 +80,7 @@ def closest_on_triangle(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz):
     return ex * ex + ey * ey + ez * ez, qx, qy, qz, feature
 
 
-@inlined_kernel
+@query_kernel
 def triangle_normal(ax, ay, az, bx, by, bz, cx, cy, cz):
     """Unit normal, right-handed; zeros for a triangle without area."""
     ux, uy, uz = bx - ax, by - ay, bz - az
@@ -92,7 +92,7 @@ def triangle_normal(ax, ay, az, bx, by, bz, cx, cy, cz):
     return nx / length, ny / length, nz / length
 
 
-@inlined_kernel
+@query_kernel
 def segment_distance(r, s):
     """Distance [m] of two segments of non-zero length: r and s (6, or more), begin and end."""
     ux, uy, uz = r[3] - r[0], r[4] - r[1], r[5] - r[2]

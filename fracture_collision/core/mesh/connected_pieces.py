@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 
 
 def connected_pieces(edges: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -31,7 +31,7 @@ def joined(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
     return _joined(first, second, count)
 
 
-@inlined_kernel
+@query_kernel
 def root_of(parent, node):
     """Find the root, with path halving."""
     while parent[node] != node:

@@ -12,11 +12,10 @@ Neighbours keep what they own: a face or tetrahedron that is crossed again is di
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
+from fracture_collision.core.memory.struct import Struct
 
 EDGE_FIRST = np.array([0, 0, 0, 1, 1, 2])
 EDGE_SECOND = np.array([1, 2, 3, 2, 3, 3])
@@ -39,7 +38,7 @@ NO_VOLUME = 1e-13
 CROSSING, FACE_POINT, HUB, POINTS = 4, 10, 14, 15
 
 
-class CutScratch(NamedTuple):
+class CutScratch(Struct):
     """Working space for one cut tetrahedron."""
 
     labels: np.ndarray  # (4,) int64 fragment of each node
@@ -64,7 +63,7 @@ def make_cut_scratch() -> CutScratch:
     )  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def crossing_share(nodes, a, b, plane):
     """Share of the edge from node `a` to `b` where the plane, positive at b, crosses it: 0 .. 1."""
     p, q = nodes[a], nodes[b]
@@ -73,7 +72,7 @@ def crossing_share(nodes, a, b, plane):
     return min(max(at_a / (at_a - at_b), 0.0), 1.0)
 
 
-@inlined_kernel
+@query_kernel
 def point_on_edge(nodes, a, b, share, out):
     """The crossing of the mesh edge (a, b), a < b: always from its smaller node, so that all callers get one point."""
     p, q = nodes[a], nodes[b]

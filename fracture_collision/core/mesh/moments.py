@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 
 
 def tetrahedron_moments(corners: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -29,7 +29,7 @@ def _tetrahedra_moments(corners, origin, rows):
         add_tetrahedron(c[0], c[1], c[2], c[3], origin, rows[t])
 
 
-@inlined_kernel
+@query_kernel
 def tetrahedron_terms(o, a, b, c, origin):
     """The signed moment row about `origin` of the tetrahedron (o, a, b, c), ten numbers; all are points (3,) [m].
 
@@ -60,7 +60,7 @@ def tetrahedron_terms(o, a, b, c, origin):
     )
 
 
-@inlined_kernel
+@query_kernel
 def add_row(row, s0, s1, s2, s3, s4, s5, s6, s7, s8, s9):
     """Add ten numbers to `row` (10,): all are read before any is written, so that the additions vectorize."""
     s0, s1, s2, s3, s4 = row[0] + s0, row[1] + s1, row[2] + s2, row[3] + s3, row[4] + s4

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.pools import BACK, FRONT, LABELS, OWNER, PARTED
 from fracture_collision.core.mesh.tet_mesh import PARTS
 
@@ -32,27 +32,27 @@ def _slabs(axis: int) -> np.ndarray:
 _SLABS_X, _SLABS_Y, _SLABS_Z = _slabs(0), _slabs(1), _slabs(2)
 
 
-@inlined_kernel
+@query_kernel
 def _slab(low, high):
     """Entry of the tables above for the interval [low, high], in cells from the cell's lower wall."""
     first, last = int(math.floor(PARTS * low)), int(math.floor(PARTS * high))
     return PARTS * min(max(first, 0), PARTS - 1) + min(max(last, 0), PARTS - 1)
 
 
-@inlined_kernel
+@query_kernel
 def parts_within(x, y, z, r):
     """Bits of a cell's parts that the box of half edge `r` about a point overlaps; in cells, from its lowest corner."""
     return _SLABS_X[_slab(x - r, x + r)] & _SLABS_Y[_slab(y - r, y + r)] & _SLABS_Z[_slab(z - r, z + r)]
 
 
-@inlined_kernel
+@query_kernel
 def part_at(x, y, z):
     """Bit of the part that holds a point of a cell."""
     i, j, k = min(int(PARTS * x), PARTS - 1), min(int(PARTS * y), PARTS - 1), min(int(PARTS * z), PARTS - 1)
     return np.uint64(1) << np.uint64((i * PARTS + j) * PARTS + k)
 
 
-@inlined_kernel
+@query_kernel
 def _mark(cells, i, j, k, parts, occupancy):
     i, j, k = i - cells[0], j - cells[1], k - cells[2]
     if 0 <= i < cells[3] and 0 <= j < cells[4] and 0 <= k < cells[5]:
@@ -133,7 +133,7 @@ def _mark_fragments(mesh, body, fragment, occupancy, broken, words, holders):
                     words[f] = 0
 
 
-@inlined_kernel
+@query_kernel
 def _hold(label, low, high, parts, words, holders, used):
     """Record that a fragment holds these parts of a cell; returns the number of holders."""
     if low <= label < high:
@@ -179,7 +179,7 @@ def _fill_pyramid(cells, occupancy):
         x0, y0, z0, nx, ny, nz, begin = ux, uy, uz, mx, my, mz, above
 
 
-@inlined_kernel
+@query_kernel
 def sphere_may_touch(pools, f, x, y, z, r):
     """False only if no tetrahedron that holds f comes within `r` [m] of the point (body frame).
 

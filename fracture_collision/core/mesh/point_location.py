@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import (
     BACK,
     BACK_SIDE,
@@ -37,7 +37,7 @@ TERM_ROUNDING = 8.0 * np.finfo(np.float64).eps
 MOST_STEPS = 16
 
 
-@inlined_kernel
+@query_kernel
 def tetrahedron_at(mesh, k, x, y, z):
     """Row of the tetrahedron of mesh `k` that holds the point (body frame [m]); -1 outside the body."""
     per_cell = 1.0 / mesh.grid[k, 3]
@@ -66,7 +66,7 @@ def tetrahedron_at(mesh, k, x, y, z):
     return -1
 
 
-@inlined_kernel
+@query_kernel
 def tetrahedron_from(mesh, k, start, x, y, z):
     """As tetrahedron_at, by a walk from tetrahedron `start` across the face with the lowest barycentric weight."""
     t = start
@@ -91,7 +91,7 @@ def tetrahedron_from(mesh, k, start, x, y, z):
     return tetrahedron_at(mesh, k, x, y, z)
 
 
-@inlined_kernel
+@query_kernel
 def owner_in_tetrahedron(pools, f, t, x, y, z):
     """Fragment row that owns the point within tetrahedron `t` of fragment `f`'s body."""
     tet_shift = pools.fragment.tet_shift[f]
@@ -103,7 +103,7 @@ def owner_in_tetrahedron(pools, f, t, x, y, z):
     return owner_in_cut(pools, f, t, x, y, z)
 
 
-@inlined_kernel
+@query_kernel
 def owner_in_cut(pools, f, t, x, y, z):
     """The same for a tetrahedron that several fragments share (cut_tetrahedron.py)."""
     body = pools.body
@@ -114,21 +114,21 @@ def owner_in_cut(pools, f, t, x, y, z):
     return _owner_about_hub(pools, f, t, first, x, y, z)
 
 
-@inlined_kernel
+@query_kernel
 def height(body, row, x, y, z):
     """Height [m] of the point above the plane of a triangle, out of its front; NaN for a triangle without a plane."""
     p = body.faces[row]
     return p[0] * x + p[1] * y + p[2] * z - p[3]
 
 
-@inlined_kernel
+@query_kernel
 def _side(body, row, x, y, z):
     """The owner in a sector of two fragments; its triangle cuts off a corner of the face, in front."""
     in_front = height(body, row, x, y, z) <= 0.0 and not body.sides[row, VOID] & FRONT_VOID
     return body.sides[row, FRONT_SIDE] if in_front else body.sides[row, BACK_SIDE]
 
 
-@inlined_kernel
+@query_kernel
 def _owner_about_hub(pools, f, t, first, x, y, z):
     """The hub and a face span a sector; in it, planes through the hub divide the fragments as they divide the face."""
     mesh, body = pools.mesh, pools.body
@@ -166,13 +166,13 @@ def _owner_about_hub(pools, f, t, first, x, y, z):
     return body.sides[row, FRONT_SIDE] if lacks <= of_second else body.sides[row + 1, FRONT_SIDE]
 
 
-@inlined_kernel
+@query_kernel
 def _is_void(body, row, other):
     """Whether the part between two triangles, in front of `row` and behind `other`, has no volume."""
     return body.sides[row, VOID] & FRONT_VOID != 0 and body.sides[other, VOID] & BACK_VOID != 0
 
 
-@inlined_kernel
+@query_kernel
 def _larger(a, b):
     """The larger of two heights; if one is NaN, the other; if both are, infinity."""
     if math.isnan(a):
@@ -180,7 +180,7 @@ def _larger(a, b):
     return a if math.isnan(b) else max(a, b)
 
 
-@inlined_kernel
+@query_kernel
 def holds_fragment(pools, f, t):
     """Whether tetrahedron `t` has a node of fragment `f`."""
     tet_shift = pools.fragment.tet_shift[f]
@@ -189,7 +189,7 @@ def holds_fragment(pools, f, t):
     return region_holds(pools.body.regions[t + tet_shift], f)
 
 
-@inlined_kernel
+@query_kernel
 def region_holds(region, f):
     """holds_fragment for a row of BodyPool.regions."""
     if region[OWNER] >= 0:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import BOX, PLANE
 
 # A box is sampled along its edges, where it penetrates faces of others; its own faces are handled in closed form. The
@@ -14,7 +14,7 @@ from fracture_collision.core.memory.kinds import BOX, PLANE
 BOX_EDGE_SPACING = 1.0 / 64.0
 
 
-@inlined_kernel
+@query_kernel
 def primitive_distance(kind, shape, x, y, z):
     """Signed distance [m], positive outside, with the outward unit normal: (distance, nx, ny, nz).
 
@@ -31,7 +31,7 @@ def primitive_distance(kind, shape, x, y, z):
     return r - shape[0], x / r, y / r, z / r
 
 
-@inlined_kernel
+@query_kernel
 def _box_distance(half, x, y, z):
     ex, ey, ez = abs(x) - half[0], abs(y) - half[1], abs(z) - half[2]
     sx = 1.0 if x >= 0.0 else -1.0

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.mesh.triangle_field import build_hierarchy
 
 UNDECIDED = np.iinfo(np.int64).min
@@ -85,7 +85,7 @@ def _winding_along(surface, point, own, d):
     return winding
 
 
-@inlined_kernel
+@query_kernel
 def _may_meet(box, point, d):
     """Whether a ray may meet a box (6,); where rounding decides, it may."""
     enter, leave = 0.0, np.inf
@@ -98,7 +98,7 @@ def _may_meet(box, point, d):
     return enter <= leave
 
 
-@inlined_kernel
+@query_kernel
 def _sign(a, b, c):
     """Sign of the determinant of three vectors; 0 if rounding decides."""
     ax, ay, az = a
@@ -112,7 +112,7 @@ def _sign(a, b, c):
     return 1 if value > 0.0 else -1
 
 
-@inlined_kernel
+@query_kernel
 def _crossing(c, p, d):
     """+1: the ray leaves through the triangle; -1: it enters; 0: it misses; UNDECIDED."""
     corner_a = c[0] - p[0], c[1] - p[1], c[2] - p[2]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 CORNERS_EACH = 5
 OF_HUB, OF_FACE = 0, 1
@@ -31,43 +31,43 @@ class NewSamples(NamedTuple):
     parts: np.ndarray  # (q,) int32 index of the new fragment
 
 
-@inlined_kernel
+@query_kernel
 def crossing_number(first, edge, side):
     """Number of a crossing of a mesh edge, given by its row in the pool; first (5,): MeshPool.first of the mesh."""
     return first[NODES] + 2 * (edge - first[FIRST_EDGE]) + side
 
 
-@inlined_kernel
+@query_kernel
 def corner_number(first, tetrahedron, which):
     """Number of a corner of a tetrahedron, given by its row in the pool."""
     return first[NODES] + 2 * first[EDGES] + CORNERS_EACH * (tetrahedron - first[FIRST_TETRAHEDRON]) + which
 
 
-@inlined_kernel
+@query_kernel
 def is_node(first, sample):
     """Whether a sample is a node of the mesh."""
     return sample < first[NODES]
 
 
-@inlined_kernel
+@query_kernel
 def is_crossing(first, sample):
     """Whether a sample is a crossing of a mesh edge."""
     return first[NODES] <= sample < first[NODES] + 2 * first[EDGES]
 
 
-@inlined_kernel
+@query_kernel
 def edge_of(first, sample):
     """(row in the pool, side) of the mesh edge of a crossing."""
     return first[FIRST_EDGE] + (sample - first[NODES]) // 2, (sample - first[NODES]) % 2
 
 
-@inlined_kernel
+@query_kernel
 def tetrahedron_of(first, sample):
     """Row in the pool of the tetrahedron of a corner."""
     return first[FIRST_TETRAHEDRON] + (sample - first[NODES] - 2 * first[EDGES]) // CORNERS_EACH
 
 
-@inlined_kernel
+@query_kernel
 def is_crossing_of_ridges(number):
     """Whether a contact's number denotes two crossing ridges instead of a sample."""
     return number >= FIRST_OF_RIDGES

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import BOX, TRIANGLES
 from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW
 from fracture_collision.core.memory.rotations import to_other
@@ -20,13 +20,13 @@ from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
 CORNERS_OF_SIDE = np.array([[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]])
 
 
-@inlined_kernel
+@query_kernel
 def has_triangle(body, i, f):
     """Whether row `i` of body.triangles belongs to f's surface; one without a plane is degenerate by rounding."""
     return (body.sides[i, FRONT_SIDE] == f or body.sides[i, BACK_SIDE] == f) and not math.isnan(body.faces[i, 3])
 
 
-@inlined_kernel
+@query_kernel
 def count_triangles(pools, f, piece):
     """Upper bound of the number of f's triangles in an element: the range of `k` in put_triangle."""
     kind = pools.fragment.kind[f]
@@ -38,7 +38,7 @@ def count_triangles(pools, f, piece):
     return 4 if shift == NEVER_BROKEN else 4 + pools.body.cut_count[piece + shift]
 
 
-@inlined_kernel
+@query_kernel
 def put_triangle(pools, f, piece, k, rotation, translation, out):
     """Write the corners of the k-th triangle of an element, transformed to another frame, to out (9,) [m].
 
@@ -74,14 +74,14 @@ def put_triangle(pools, f, piece, k, rotation, translation, out):
     return True
 
 
-@inlined_kernel
+@query_kernel
 def _put_moved(rotation, translation, p, q, r, out):
     out[0], out[1], out[2] = to_other(rotation, translation, p[0], p[1], p[2])
     out[3], out[4], out[5] = to_other(rotation, translation, q[0], q[1], q[2])
     out[6], out[7], out[8] = to_other(rotation, translation, r[0], r[1], r[2])
 
 
-@inlined_kernel
+@query_kernel
 def put_box_corner(half, bits, out):
     """Write a corner [m] of a box with half edges `half`; bit d of `bits`: its end along axis d."""
     for d in range(3):

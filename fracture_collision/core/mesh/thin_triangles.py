@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel, query_kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.geometry.unique_rows import unique_rows
 
 # A pass over all triangles may make others thin; what is left after this many stays.
@@ -98,18 +98,18 @@ def _improve(links, t, tolerance):
     return _shape(v[a], v[b], v[c])[0] <= tolerance and _flip(links, longest)
 
 
-@inlined_kernel
+@query_kernel
 def _next(h):
     return h + 1 if h % 3 < 2 else h - 2
 
 
-@inlined_kernel
+@query_kernel
 def _square(p, q):
     x, y, z = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     return x * x + y * y + z * z
 
 
-@inlined_kernel
+@query_kernel
 def _shape(a, b, c):
     """(height over the longest side [m], longest side [m]) of a triangle."""
     longest = math.sqrt(max(_square(a, b), _square(b, c), _square(c, a)))
@@ -119,13 +119,13 @@ def _shape(a, b, c):
     return math.sqrt(nx * nx + ny * ny + nz * nz) / longest, longest
 
 
-@inlined_kernel
+@query_kernel
 def _onward(links, h):
     """The next side that starts at the vertex where `h` starts; NO_TWIN at an edge without."""
     return links.twins[_next(_next(h))]
 
 
-@inlined_kernel
+@query_kernel
 def _is_whole(links, h):
     """Whether the triangles around the vertex where `h` starts form one circle."""
     g = _onward(links, h)
@@ -134,7 +134,7 @@ def _is_whole(links, h):
     return g == h
 
 
-@inlined_kernel
+@query_kernel
 def _are_joined(links, h, vertex):
     """Whether an edge joins the vertex where `h` starts, which is whole, with `vertex`."""
     g = h

@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.memory.compiled import kernel, query_kernel
-from fracture_collision.core.memory.pools import GrowableArray, TriangleMeshPool
+from fracture_collision.core.memory.pools import TriangleMeshPool
+from fracture_collision.core.memory.tables import Table
 from fracture_collision.core.mesh.closest_point import (
     DIRECTION_FLOOR,
     ON_FACE,
@@ -58,7 +59,7 @@ def build_triangle_mesh(vertices: np.ndarray, triangles: np.ndarray) -> Triangle
     )  # fmt: skip
 
 
-def append_triangle_mesh(table: dict[str, GrowableArray], mesh: TriangleMesh) -> int:
+def append_triangle_mesh(table: Table[TriangleMeshPool], mesh: TriangleMesh) -> int:
     """Add a mesh to the columns of a TriangleMeshPool, rows made absolute; returns its row of `node_range`."""
     triangle, node = table["corners"].used, table["node_box"].used
     table["features"].append(mesh.features + table["pseudonormals"].used)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.core.lookahead.motion import NO_MOTION, Motion, sweep_box
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.kinds import PLANE, is_bounded
 
 # All pairs are recomputed if more than one fragment in FEW has moved.
@@ -45,7 +45,7 @@ def world_boxes(fragment_box, rows, rotations, positions, margins, boxes):
         _put_world_box(fragment_box[rows[i]], rotations[i], positions[i], margins[i], boxes[i])
 
 
-@inlined_kernel
+@query_kernel
 def _put_world_box(b, rotation, position, margin, box):
     for k in range(3):
         center = position[k]
@@ -207,7 +207,7 @@ def _renewed(before, has_moved, boxes, kinds, shapes, rotations, positions, is_s
     return pairs
 
 
-@inlined_kernel
+@query_kernel
 def _meet(boxes, kinds, shapes, rotations, positions, is_static, i, j):
     """Whether overlapping_pairs would list the two."""
     if is_static[i] and is_static[j]:

@@ -1,25 +1,27 @@
-"""The search of one pair: from its neighbour list or among its leaves of samples, which only saves work; then ahead."""
+"""The searches of pairs, by kind: convex, with a sphere, all others; then the search of the time ahead."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from fracture_collision.core.contacts.contact_choice import Rule
+from fracture_collision.core.contacts.deepest_contacts import copy_contact
+from fracture_collision.core.contacts.facing_normal import turn_contacts
 from fracture_collision.core.contacts.known_samples import rounding_slack, share_a_body
 from fracture_collision.core.contacts.sphere_contacts import sphere_contacts
 from fracture_collision.core.edges.ridge_contacts import least_apart
-from fracture_collision.core.edges.ridges import Ridges
 from fracture_collision.core.lookahead.first_touch import first_touch
-from fracture_collision.core.lookahead.motion import between_balls, closing_speed
+from fracture_collision.core.lookahead.motion import Moving, between_balls, closing_speed
 from fracture_collision.core.lookahead.sphere_at_end import sphere_at_end
 from fracture_collision.core.lookahead.staying_apart import boxes_stay_apart, hulls_stay_apart, may_touch_again
-from fracture_collision.core.memory.compiled import spliced_kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel, threaded_kernel
 from fracture_collision.core.memory.kinds import is_bounded
-from fracture_collision.core.memory.pair import Sink
-from fracture_collision.core.memory.pools import Pools
+from fracture_collision.core.memory.pair import Sink, put_pair
 from fracture_collision.core.patches.pair_contacts import Wanted, put_patch
-from fracture_collision.core.patches.shapes import NO_SHAPES, Shapes, have_patches
+from fracture_collision.core.patches.shapes import have_patches
 from fracture_collision.core.search.neighbour_lists import (
     FAST,
     IN_PLACE,
@@ -29,23 +31,29 @@ from fracture_collision.core.search.neighbour_lists import (
     Listing,
     NeighbourLists,
     displacement,
+    fetch_slot,
     keep_pose,
     least_left,
     reach_of,
 )
+from fracture_collision.core.search.passes import ELSEWHERE, NO_ROOM, Found, keep_found, room_of
 from fracture_collision.core.search.sample_search import begins_with_seeds, may_search, query_listed, search_samples
 from fracture_collision.core.search.work_limit import BY_LIMIT, COMPLETE
 from fracture_collision.core.separation.oriented_boxes import box_clearance
 
 NOT_FOUND = -1  # contacts, where another search must be run
+# Which search a pair gets.
+CONVEX, ROUND, SAMPLED = 0, 1, 2
+KINDS = 3
 
 
-class Geometry(NamedTuple):
-    """The pools and the ridges that a search reads."""
+class Work(NamedTuple):
+    """Pairs to be searched, and where the lists of all pairs are."""
 
-    pools: Pools
-    edges: Ridges  # of all rows; NO_RIDGES where crossings are not searched
-    shapes: Shapes = NO_SHAPES  # of all rows; NO_SHAPES where no contacts are patches
+    todo: np.ndarray  # (m,) int64
+    slots: np.ndarray  # (p,) int64: a pair's slot of the lists, -1: none
+    known: np.ndarray  # (p,) bool: whether it had the slot at the last step
+    for_motion: bool  # whether the search goes on ahead
 
 
 class Slot(NamedTuple):
@@ -57,59 +65,148 @@ class Slot(NamedTuple):
     for_motion: bool  # whether the clearance beyond the list is wanted, too
 
 
-class Found(NamedTuple):
-    """Result of a search."""
-
-    count: int  # type: ignore[assignment] # contacts, NOT_FOUND: none was run
-    bound: float  # [m] missed depth bound
-    visits: int
-    exhausted: int  # COMPLETE, BY_LIMIT or BY_FURTHER
-    clear: float  # [m] lower bound of the distance in excess of the detection tolerance, 0: unknown
-
-
-@spliced_kernel
-def patch_pair(geometry, pair, moving, rule, slot, sink, scratch):
-    """(whether the contacts of a Pair are patches; their Found; whether they depend on the motion of the Moving)."""
-    if not have_patches(geometry.shapes, pair.a, pair.b):
-        return False, Found(0, 0.0, 0, COMPLETE, 0.0), False
-    moved, remembered = math.inf, scratch.toward
-    if share_a_body(geometry.pools, pair.a, pair.b):
-        moved = displacement(geometry.pools, pair, IN_PLACE)
-    if slot.row >= 0:
-        remembered = slot.lists.toward[slot.row]
-        slot.lists.counts[slot.row] = NOT_LISTED
-        keep_pose(pair.rotation, pair.translation, slot.lists.poses[slot.row])
-    else:
-        remembered[0] = 0.0
-    wanted = Wanted(rule.near, moved, rule.wanted)
-    count, bound, is_ahead = put_patch(geometry.shapes, pair, moving, wanted, remembered, sink)
-    return True, Found(count, bound, 0, COMPLETE, 0.0), is_ahead
+@kernel
+def by_kind(geometry, step, todo):
+    """Pairs `todo` (m,) of a Step, sorted by the search that they get, and how many get each (KINDS,)."""
+    kinds, counts = np.empty(len(todo), np.int64), np.zeros(KINDS, np.int64)
+    for k in range(len(todo)):
+        a, b = step.rows[step.pairs[todo[k], 0]], step.rows[step.pairs[todo[k], 1]]
+        kinds[k] = ROUND
+        if have_patches(geometry.shapes, a, b):
+            kinds[k] = CONVEX
+        elif may_search(geometry.pools, a, b):
+            kinds[k] = SAMPLED
+        counts[kinds[k]] += 1
+    ordered, at = np.empty_like(todo), np.cumsum(counts) - counts
+    for k in range(len(todo)):
+        ordered[at[kinds[k]]] = todo[k]
+        at[kinds[k]] += 1
+    return ordered, counts
 
 
-@spliced_kernel
-def search_pair(geometry, pair, rule, slot, sink, scratch):
-    """The Found of a Pair at its present relative poses, by a Rule; the contacts are written to a Sink.
+@threaded_kernel
+def search_convex(geometry, lists, moving, rule, work, out, scratch, part):
+    """Patches of all convex pairs of a Work that are a thread's, see Crew.share.
 
-    slot: the pair's Slot, whose list is used and renewed.
+    moving: a Step and its Motion, which they are searched along; rule: with epsilon and near as shares of the smaller
+    R; lists: NeighbourLists; out: Results.
     """
-    pools = geometry.pools
-    radius = min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
-    found, moves = Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0), FAST * radius
-    if slot.row >= 0 and slot.is_known:
-        rounding = 2.0 * rounding_slack(pools, pair.a, pair.b, pair.translation)
-        moves = displacement(pools, pair, slot.lists.poses[slot.row]) + rounding
-        if slot.lists.counts[slot.row] >= 0:
-            found = _from_list(geometry, pair, rule, moves, slot, sink, scratch)
-    if slot.row >= 0:
-        keep_pose(pair.rotation, pair.translation, slot.lists.poses[slot.row])
-    if found.count == NOT_FOUND and may_search(pools, pair.a, pair.b):
-        found = _among_samples(geometry, pair, rule, moves, slot, sink, scratch)
-    elif found.count == NOT_FOUND:
-        found = _of_sphere(pools, pair, rule, slot, sink, scratch)
-    return found
+    (step, motion), pools, (thread, threads) = moving, geometry.pools, part
+    for k in range(thread, len(work.todo), threads):
+        p = work.todo[k]
+        pair = put_pair(step, p, scratch.rotation, scratch.translation)
+        its, row, moved, remembered = _scaled(pools, pair, rule), work.slots[p], math.inf, scratch.toward
+        if share_a_body(pools, pair.a, pair.b):
+            moved = displacement(pools, pair, IN_PLACE)
+        if row >= 0:
+            remembered = lists.toward[row]
+            lists.counts[row] = NOT_LISTED
+            keep_pose(pair.rotation, pair.translation, lists.poses[row])
+        else:
+            remembered[0] = 0.0
+        wanted = Wanted(its.near, moved, its.wanted)
+        two = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
+        count, bound, out.is_ahead[p] = put_patch(
+            geometry.shapes, pair, two, wanted, remembered, room_of(out, thread)
+        )
+        keep_found(out, p, thread, Found(count, bound, 0, COMPLETE, 0.0))
 
 
-@spliced_kernel
+@threaded_kernel
+def search_round(geometry, lists, step, rule, work, out, scratch, part):
+    """As search_convex, of pairs with a sphere, at the poses of a Step."""
+    pools, (thread, threads) = geometry.pools, part
+    for k in range(thread, len(work.todo), threads):
+        p = work.todo[k]
+        pair, sink = put_pair(step, p, scratch.rotation, scratch.translation), room_of(out, thread)
+        its, slot = _scaled(pools, pair, rule), Slot(lists, work.slots[p], work.known[p], work.for_motion)
+        found = Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0)
+        if slot.row >= 0:
+            if slot.is_known and lists.counts[slot.row] == 0:
+                found = _still_far(pools, pair, slot)
+            keep_pose(pair.rotation, pair.translation, lists.poses[slot.row])
+        if found.count == NOT_FOUND:
+            found = _of_sphere(pools, pair, its, slot, sink, scratch)
+        if 0 < found.count <= len(sink.contacts):
+            turn_contacts(pools, pair, its.near, sink, found.count, scratch)
+        keep_found(out, p, thread, found)
+
+
+@threaded_kernel
+def search_sampled(geometry, lists, step, rule, work, out, scratch, part):
+    """As search_convex, of all other pairs, at the poses of a Step."""
+    pools, (thread, threads) = geometry.pools, part
+    for k in range(thread, len(work.todo), threads):
+        p = work.todo[k]
+        if k + threads < len(work.todo):
+            fetch_slot(lists, work.slots[work.todo[k + threads]])
+        pair, sink = put_pair(step, p, scratch.rotation, scratch.translation), room_of(out, thread)
+        its, slot = _scaled(pools, pair, rule), Slot(lists, work.slots[p], work.known[p], work.for_motion)
+        found, moves = Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0), FAST * _smaller_radius(pools, pair)
+        if slot.row >= 0 and slot.is_known:
+            rounding = 2.0 * rounding_slack(pools, pair.a, pair.b, pair.translation)
+            moves = displacement(pools, pair, lists.poses[slot.row]) + rounding
+            if lists.counts[slot.row] >= 0:
+                found = _from_list(geometry, pair, its, moves, slot, sink, scratch)
+        if slot.row >= 0:
+            keep_pose(pair.rotation, pair.translation, lists.poses[slot.row])
+        if found.count == NOT_FOUND:
+            found = _among_samples(geometry, pair, its, moves, slot, sink, scratch)
+        if 0 < found.count <= len(sink.contacts):
+            turn_contacts(pools, pair, its.near, sink, found.count, scratch)
+        keep_found(out, p, thread, found)
+
+
+@threaded_kernel
+def search_ahead(geometry, lists, moving, rule, work, out, scratch, part):
+    """Search the time ahead for the pairs of a Work that search_round or search_sampled has been through.
+
+    work: the Work, and their Results. Contacts ahead of a pair are written to `out`, after copies of those of now.
+    """
+    (step, motion), pools, (thread, threads), (work, now) = moving, geometry.pools, part, work
+    for k in range(thread, len(work.todo), threads):
+        p = work.todo[k]
+        pair, sink = put_pair(step, p, scratch.rotation, scratch.translation), room_of(out, thread)
+        count, first = now.counts[p], now.begin[p]
+        for c in range(min(count, len(sink.contacts))):
+            copy_contact(now, first + c, sink, c)
+        two = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
+        found = Found(count, out.bounds[p], out.visits[p], out.exhausted[p], out.clear[p])
+        its, slot = _scaled(pools, pair, rule), Slot(lists, work.slots[p], False, True)
+        found, is_ahead = _look_ahead(geometry, pair, two, its, found, slot, sink, scratch)
+        out.begin[p] = ELSEWHERE
+        if is_ahead and found.count > len(sink.contacts):
+            out.begin[p], out.counts[p] = NO_ROOM, found.count
+        elif is_ahead:
+            out.is_ahead[p], now.begin[p] = True, ELSEWHERE
+            keep_found(out, p, thread, found)
+        else:
+            out.bounds[p], out.visits[p], out.exhausted[p] = found.bound, found.visits, found.exhausted
+
+
+@query_kernel
+def _smaller_radius(pools, pair):
+    return min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
+
+
+@query_kernel
+def _scaled(pools, pair, rule):
+    """A Rule with lengths, from one with shares of R."""
+    radius = _smaller_radius(pools, pair)
+    return Rule(rule.wanted, rule.most, rule.epsilon * radius, rule.near * radius, rule.every)
+
+
+@query_kernel
+def _still_far(pools, pair, slot):
+    """The Found of a Pair that was so far apart that its motion since then does not matter; NOT_FOUND if it does."""
+    lists, row, slack = slot.lists, slot.row, rounding_slack(pools, pair.a, pair.b, pair.translation)
+    moved, rounding = displacement(pools, pair, lists.listed_at[row]), 2.0 * slack
+    if not moved + rounding < lists.reach[row]:
+        return Found(NOT_FOUND, 0.0, 0, COMPLETE, 0.0)
+    return Found(0, slack, 0, COMPLETE, lists.reach[row] - moved - rounding if slot.for_motion else 0.0)
+
+
+@query_kernel
 def _of_sphere(pools, pair, rule, slot, sink, scratch):
     """The Found of a Pair with a sphere."""
     a, b, rotation, translation = pair
@@ -129,7 +226,7 @@ def _of_sphere(pools, pair, rule, slot, sink, scratch):
     return Found(count, bound + slack, 0, BY_LIMIT if is_cut else COMPLETE, 0.0)
 
 
-@spliced_kernel
+@query_kernel
 def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
     """The Found of a Pair that has a list; NOT_FOUND if the list does not hold any more.
 
@@ -157,7 +254,7 @@ def _from_list(geometry, pair, rule, moves, slot, sink, scratch):
     return Found(found.count, found.bound, found.visits, COMPLETE, clear)
 
 
-@spliced_kernel
+@query_kernel
 def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
     """The Found of a Pair whose samples are searched, with a new list if it has a slot; moves [m]: see _from_list."""
     pools = geometry.pools
@@ -189,7 +286,7 @@ def _among_samples(geometry, pair, rule, moves, slot, sink, scratch):
     return Found(found.count, found.bound, found.visits, BY_LIMIT if rule.every > 1 else COMPLETE, clear)
 
 
-@spliced_kernel
+@query_kernel
 def _left_of(geometry, pair, rule, listing, count, scratch):
     """Lower bound [m] of how far the first `count` listed samples, and all listed ridges, are from being near."""
     middles = geometry.pools.fragment.middle
@@ -199,8 +296,8 @@ def _left_of(geometry, pair, rule, listing, count, scratch):
     return min(left, least_apart(geometry.edges, pair, listing.ridges, rule.near, False, scratch))
 
 
-@spliced_kernel
-def look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
+@query_kernel
+def _look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     """Search the time ahead for contacts of the two fragments of a Moving, after the `found` of now.
 
     The contacts are written to the Sink after those found now. Returns (the Found of both, whether any was added).

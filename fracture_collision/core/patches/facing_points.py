@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 
 # Faces at less than 3 degrees from along n have no distance along it; edges need only one side that faces, by a sine.
 FACING, EDGE_FACING = 0.05, 0.02
@@ -199,7 +199,7 @@ def _near(posed, places, n, sign, view):
     return _Seen(places, faces[:faces_used], corners[:corners_used], chosen[:edges_used])
 
 
-@inlined_kernel
+@query_kernel
 def _along(m, n):
     return m[0] * n[0] + m[1] * n[1] + m[2] * n[2]
 
@@ -255,7 +255,7 @@ def _grid_of(rows, window):
     return _Grid(grid.low, grid.per_cell, grid.cells, grid.begin, entries)
 
 
-@inlined_kernel
+@query_kernel
 def _cell(grid, d, x):
     return min(max(int((x - grid.low[d]) * grid.per_cell[d]), 0), grid.cells[d] - 1)
 
@@ -292,12 +292,12 @@ def _corners_over(of, over, triangles, kind, view, found, count):
     return found, count
 
 
-@inlined_kernel
+@query_kernel
 def _length(u, v):
     return math.sqrt(u * u + v * v)
 
 
-@inlined_kernel
+@query_kernel
 def _height_at(faces, t, u, v, rim):
     """(whether u, v is over a face, or beyond a side by no more than `rim`; the face's height there); see _rows_of."""
     b, c = CORNERS + 3, CORNERS + 6
@@ -353,7 +353,7 @@ def _crossings(of_a, edges_a, of_b, edges_b, view, found, count):
     return found, count
 
 
-@inlined_kernel
+@query_kernel
 def _crossing(a, i, b, j, rim):
     """Whether rows of two _rows_of cross as seen, where (u, v), the first's height there, and the other's above it."""
     p, q = CORNERS, CORNERS + 3

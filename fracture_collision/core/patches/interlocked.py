@@ -24,18 +24,14 @@ from fracture_collision.core.contacts.contact_places import make_world_contacts,
 from fracture_collision.core.contacts.known_samples import ID_SAMPLE, share_a_body
 from fracture_collision.core.lookahead.motion import MOST_TURN, Motion, Moving, closing_speed, put_pose, turned_in
 from fracture_collision.core.lookahead.staying_apart import gap_of_hulls
-from fracture_collision.core.memory.compiled import (
-    allocating_kernel,
-    inlined_kernel,
-    kernel,
-    query_kernel,
-    threaded_kernel,
-)
+from fracture_collision.core.memory.compiled import allocating_kernel, kernel, query_kernel, threaded_kernel
 from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.kinds import TETRAHEDRA, WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
-from fracture_collision.core.memory.pools import GrowableArray, Pools
+from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.memory.rotations import turned_back
+from fracture_collision.core.memory.struct import Struct
+from fracture_collision.core.memory.tables import Table
 from fracture_collision.core.patches.facing_points import (
     FacingPoints,
     Posed,
@@ -65,10 +61,11 @@ from fracture_collision.core.patches.piercing import (
     pierced_pairs,
     triangles_within,
 )
-from fracture_collision.core.patches.shapes import Shapes, triangles_of
+from fracture_collision.core.patches.shapes import Geometry, triangles_of
 from fracture_collision.core.patches.surface import Surface, make_surface
 from fracture_collision.core.search.kept_answer import PairContacts
-from fracture_collision.core.search.neighbour_lists import IN_PLACE, CloseTriangles, displacement, keep_pose
+from fracture_collision.core.search.neighbour_lists import IN_PLACE, NeighbourLists, displacement, keep_pose
+from fracture_collision.core.search.passes import bound_by_thickness
 from fracture_collision.core.search.scratch import Scratch
 from fracture_collision.core.separation.oriented_boxes import box_clearance
 from fracture_collision.grouping import begins_of
@@ -102,15 +99,7 @@ _LEAVE, _ALL = -1, -2
 _DIRECTION_BIT = 59  # of a contact's number: above kind and feature
 
 
-class Close(NamedTuple):
-    """What is kept of pairs from step to step."""
-
-    lists: CloseTriangles
-    toward: np.ndarray  # (room, 3) float64: see NeighbourLists
-    slots: np.ndarray  # (p,) int64: a pair's slot, -1: none
-
-
-class Surfaces(NamedTuple):
+class Surfaces(Struct):
     """Surfaces of some fragments; rows count from a fragment's first."""
 
     begin: np.ndarray  # (F, 3) int64 first row of: corners, triangles, edges; -1: not made
@@ -127,16 +116,14 @@ class SurfaceTable:
 
     def __init__(self) -> None:
         self._begin, self._end, self._stamps = np.full((0, 3), -1), np.full((0, 3), -1), np.zeros(0, np.int64)
-        self._columns = [
-            GrowableArray(3, np.float64), GrowableArray(3, np.int32), GrowableArray(3, np.float64),
-            GrowableArray(2, np.int32), GrowableArray(2, np.int32), GrowableArray(0, np.bool_),
-        ]  # fmt: skip
+        self._rows = Table(Surface)
         self._unused = 0  # triangles of fragments that were forgotten
+        self._surfaces: Surfaces | None = None  # until one is added
 
     @property
     def is_mostly_garbage(self) -> bool:
         """Whether more than half of the triangles are of surfaces that were forgotten."""
-        return 2 * self._unused > self._columns[1].used
+        return 2 * self._unused > self._rows["triangles"].used
 
     def forget(self, rows: np.ndarray) -> None:
         """Make those of `rows` (n,) anew when they are asked for."""
@@ -149,18 +136,21 @@ class SurfaceTable:
         """Surfaces of at least `rows` (n,) of FragmentPool."""
         more = len(pools.fragment.kind) - len(self._begin)
         if more > 0:
+            self._surfaces = None
             nothing = np.full((more, 3), -1)
             self._begin, self._end = np.vstack((self._begin, nothing)), np.vstack((self._end, nothing))
             self._stamps = np.append(self._stamps, np.zeros(more, np.int64))
         for f in rows[self._begin[rows, 0] < 0].tolist():
             triangles, _ = triangles_of(pools, f, f + 1)
             made = make_surface(triangles[in_order(triangles)])
-            self._begin[f] = [self._columns[k].used for k in (0, 1, 3)]
-            for column, values in zip(self._columns, made, strict=True):
+            self._begin[f] = [self._rows[name].used for name in ("corners", "triangles", "edges")]
+            for column, values in zip(self._rows, made, strict=True):
                 column.append(values)
-            self._end[f] = [self._columns[k].used for k in (0, 1, 3)]
-            self._stamps[f] = next(_STAMPS)
-        return Surfaces(self._begin, self._end, self._stamps, Surface(*(column.view for column in self._columns)))
+            self._end[f] = [self._rows[name].used for name in ("corners", "triangles", "edges")]
+            self._stamps[f], self._surfaces = next(_STAMPS), None
+        if self._surfaces is None:
+            self._surfaces = Surfaces(self._begin, self._end, self._stamps, self._rows.view)
+        return self._surfaces
 
 
 class _Out(NamedTuple):
@@ -173,25 +163,29 @@ class _Out(NamedTuple):
 
 
 def part_interlocked(
-    pools: Pools, table: SurfaceTable, step: Step, motion: Motion, work: tuple[Shapes, np.ndarray, Close],
-    rule: Rule, found: PairContacts, own: tuple[tuple[Scratch, ...], Crew],
+    geometry: Geometry, table: SurfaceTable, moving: tuple[Step, Motion],
+    work: tuple[NeighbourLists, np.ndarray, np.ndarray], rule: Rule, found: PairContacts,
+    own: tuple[tuple[Scratch, ...], Crew],
 ) -> tuple[PairContacts, np.ndarray]:  # fmt: skip
     """`found` with contacts of whole surfaces, where a concave pair is deep or pierces; and which pairs' changed.
 
-    work: the Shapes, the pairs (m,) that `found` was searched for, and what is kept of pairs; rule: with epsilon and
+    work: the lists, each pair's slot (p,), and the pairs (m,) that `found` was searched for; rule: with epsilon and
     near as shares of the smaller R; own: a Scratch for each thread of the Crew.
     """
-    (shapes, todo, kept), (scratch, crew) = work, own
+    (step, _), (lists, slots, todo), (scratch, crew), pools = moving, work, own, geometry.pools
     offsets, bounds = begins_of(found.counts), found.bounds.copy()
-    todo = _candidates(pools, (step, todo), shapes.is_convex, rule, bounds, scratch[0])
-    if not len(todo) or rule.wanted > MOST_WANTED:
+    if rule.wanted > MOST_WANTED:
+        bound_unsearched(geometry, (step, todo), rule, bounds, scratch[0])
+        return found._replace(bounds=bounds), todo[:0]
+    todo = _candidates(geometry, (step, todo), rule, bounds, scratch[0])
+    if not len(todo):
         return found._replace(bounds=bounds), todo
     surfaces = table.of(pools, np.unique(step.rows[step.pairs[todo]]))
     p, wanted = len(step.pairs), rule.wanted
     sink = Sink(np.empty((len(todo) * wanted, 10)), np.empty((len(todo) * wanted, 5), np.int64))
     out = _Out(np.full(p, _LEAVE), bounds, np.ones(len(found.gaps), np.bool_), sink)
-    known = found, offsets, kept
-    crew.share(_part_share, (pools, surfaces), (step, motion), todo, rule, known, out, own=scratch)
+    known = rule, found, offsets, slots, todo
+    crew.share(_part_share, surfaces, pools, lists, moving, known, out, own=scratch)
     changed = np.flatnonzero(out.counts >= 0)
     if not len(changed):
         return found._replace(bounds=out.bounds), changed
@@ -204,18 +198,31 @@ def part_interlocked(
     return PairContacts(counts, out.bounds, found.visits, found.exhausted, *columns), changed
 
 
-def _candidates(pools, pairs, is_convex, rule, bounds, scratch):
+def bound_unsearched(
+    geometry: Geometry, pairs: tuple[Step, np.ndarray], rule: Rule, bounds: np.ndarray, scratch: Scratch
+) -> None:
+    """Raise the missed depth bounds (p,) [m] of those pairs, a Step's and their numbers, whose surfaces may pierce.
+
+    For pairs that are not looked at: pieces that have run into each other are no deeper than the thinner one is thick.
+    """
+    before = bounds.copy()
+    bound_by_thickness(geometry.pools, pairs[0], _candidates(geometry, pairs, rule, bounds, scratch), bounds, scratch)
+    np.maximum(before, bounds, out=bounds)
+
+
+def _candidates(geometry, pairs, rule, bounds, scratch):
     """Pairs (k,) of those asked about, a Step's and their numbers, that are to be looked at.
 
     Sets the missed depth bounds (p,) [m] of pieces that are where they were one.
     """
     kept = np.empty(len(pairs[1]), np.int64)
-    return kept[: _put_candidates(pools, pairs, is_convex, rule, bounds, scratch, kept)]
+    return kept[: _put_candidates(geometry, pairs, rule, bounds, scratch, kept)]
 
 
 @query_kernel
-def _put_candidates(pools, pairs, is_convex, rule, bounds, scratch, out):
+def _put_candidates(geometry, pairs, rule, bounds, scratch, out):
     (step, todo), used = pairs, 0
+    pools, is_convex = geometry.pools, geometry.shapes.is_convex
     for p in todo:
         a, b = step.rows[step.pairs[p, 0]], step.rows[step.pairs[p, 1]]
         if is_convex[a] and is_convex[b]:
@@ -236,14 +243,13 @@ def _put_candidates(pools, pairs, is_convex, rule, bounds, scratch, out):
 
 
 @threaded_kernel
-def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
-    """Process every pair of `todo` that is a thread's, see Crew.share.
+def _part_share(surfaces, pools, lists, moving, known, out, scratch, part):
+    """Process every pair that is a thread's, see Crew.share.
 
-    known: PairContacts, their offsets and a Close.
+    known: a Rule, PairContacts, their offsets, the slot of each pair in the lists, and the pairs.
     """
-    pools, surfaces = geometry
     step, motion = moving
-    found, offsets, kept = known
+    rule, found, offsets, slots, todo = known
     thread, threads = part
     for turn in range(thread, len(todo), threads):
         p = todo[turn]
@@ -252,12 +258,12 @@ def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
         moved, rows = math.inf, (offsets[p], offsets[p + 1])
         if share_a_body(pools, pair.a, pair.b):
             moved = displacement(pools, pair, IN_PLACE)
-        along, slot, reach = scratch.toward, kept.slots[p], 0.0
+        along, slot, reach = scratch.toward, slots[p], 0.0
         # how far the two may yet move until other triangles may pierce each other than those listed [m]
-        left = _left_of(pools, surfaces, pair, kept.lists, slot)
-        if rows[0] == rows[1] and not (left >= 0.0 and left >= _length(kept.lists.by, slot)):
+        left = _left_of(pools, surfaces, pair, lists.close, slot)
+        if rows[0] == rows[1] and not (left >= 0.0 and left >= _length(lists.close.by, slot)):
             for d in range(3):
-                along[d] = kept.toward[slot, d] if slot >= 0 else 0.0
+                along[d] = lists.toward[slot, d] if slot >= 0 else 0.0
             gap, x, y, z = gap_of_hulls(pools, pair, 0.0, along, scratch)
             along[0], along[1], along[2] = x, y, z
             if gap > 0.0:
@@ -271,12 +277,12 @@ def _part_share(geometry, moving, todo, rule, known, out, scratch, part):
         begin, end = rule.wanted * turn, rule.wanted * (turn + 1)
         sink = Sink(out.found.contacts[begin:end], out.found.ids[begin:end])
         out.counts[p], out.bounds[p] = put_interlocked(
-            (surfaces, kept.lists, slot, left, reach), pair, Moving(i, j, step.rotations, step.positions, motion), its,
+            (surfaces, lists.close, slot, left, reach), pair, Moving(i, j, step.rotations, step.positions, motion), its,
             (found.normals, found.gaps, rows), out.stays, sink,
         )  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def _left_of(pools, surfaces, pair, lists, slot):
     """By how much [m] the motion of a Pair falls short of the reach of its list; -1: it has none."""
     if slot < 0 or lists.counts[slot] < 0:
@@ -286,7 +292,7 @@ def _left_of(pools, surfaces, pair, lists, slot):
     return lists.reach[slot] - BESIDE * displacement(pools, pair, lists.at[slot])
 
 
-@inlined_kernel
+@query_kernel
 def _length(x, row):
     return math.sqrt(x[row, 0] * x[row, 0] + x[row, 1] * x[row, 1] + x[row, 2] * x[row, 2])
 
@@ -609,7 +615,7 @@ def _keep_distinct(sink, count, more, n):
     return kept
 
 
-@inlined_kernel
+@query_kernel
 def _along(x, n):
     return x[0] * n[0] + x[1] * n[1] + x[2] * n[2]
 
@@ -737,12 +743,12 @@ def _shifted(posed, x):
     return Posed(corners, posed.triangles, posed.normals, posed.edges, posed.beside, posed.is_sharp)
 
 
-@inlined_kernel
+@query_kernel
 def _distance(x, y):
     return math.sqrt((x[0] - y[0]) ** 2 + (x[1] - y[1]) ** 2 + (x[2] - y[2]) ** 2)
 
 
-@inlined_kernel
+@query_kernel
 def _box_overlap(boxes):
     """How far [m] b must be moved along an axis at most."""
     a, b, least = boxes[0], boxes[1], math.inf
@@ -760,12 +766,12 @@ def _surface_at(surfaces, f):
     )  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def _longest(box):
     return max(box[3] - box[0], box[4] - box[1], box[5] - box[2])
 
 
-@inlined_kernel
+@query_kernel
 def _add_new(ways, tried, x, y, z):
     """Add a direction to the first `tried` of `ways`, if it is far from all of them; returns their number."""
     for k in range(tried):
@@ -775,7 +781,7 @@ def _add_new(ways, tried, x, y, z):
     return tried + 1
 
 
-@inlined_kernel
+@query_kernel
 def _area(c, triangles, t):
     """Twice the area [m2] of a triangle with corners `c`."""
     p, q, r = triangles[t]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 
 MOST_BINDING = 12
 # Violations up to this share of the largest need are rounding.
@@ -66,7 +66,7 @@ def _least_of(normals, needs, rows, slack, x):
     return least < math.inf
 
 
-@inlined_kernel
+@query_kernel
 def _meeting(m, n, o, needs, out):
     """Write the point where three planes meet; returns whether they do in one."""
     det = 0.0
@@ -82,7 +82,7 @@ def _meeting(m, n, o, needs, out):
     return True
 
 
-@inlined_kernel
+@query_kernel
 def _better(normals, needs, rows, slack, tried, least, x):
     """Copy `tried` to x if it satisfies all rows and is shorter than the square `least`; returns the least square."""
     square = tried[0] * tried[0] + tried[1] * tried[1] + tried[2] * tried[2]

@@ -10,7 +10,7 @@ import numpy as np
 from fracture_collision.core.contacts.known_samples import ID_AT, ID_SAMPLE, ID_SIDE, ID_SOURCE, ID_TETRAHEDRON
 from fracture_collision.core.field.flood import NO_SOURCE
 from fracture_collision.core.lookahead.motion import MOST_TURN, put_pose
-from fracture_collision.core.memory.compiled import allocating_kernel, inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import allocating_kernel, kernel, query_kernel
 from fracture_collision.core.memory.rotations import relative_pose, rotated, to_other, turned_back
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_PATCHES
 from fracture_collision.core.patches.facing_points import CROSSING, Posed, facing_points
@@ -102,7 +102,7 @@ def put_patch(shapes, pair, moving, wanted, remembered, sink):
     return 0, bound, parts > 0
 
 
-@inlined_kernel
+@query_kernel
 def _parts(motion, i, j):
     """Number of parts that a step is divided into; 0: the two do not move against each other."""
     if not motion.time > 0.0:
@@ -372,7 +372,7 @@ def _undone(placing, share):
     return c, m[0, 0] * c[0, 0] + m[0, 1] * c[0, 1] + m[0, 2] * c[0, 2], offset
 
 
-@inlined_kernel
+@query_kernel
 def _local(undone, x, y, z):
     """The point that an _undone map takes to (x, y, z)."""
     c, det, t = undone
@@ -384,7 +384,7 @@ def _local(undone, x, y, z):
     )
 
 
-@inlined_kernel
+@query_kernel
 def _placed(placing, row, local):
     """Where a point fixed to a fragment is at one of the poses of its Placing."""
     return to_other(placing.rotations[row], placing.positions[row], local[0], local[1], local[2])
@@ -400,7 +400,7 @@ def _ways_at_end(placings, n):
     return ways
 
 
-@inlined_kernel
+@query_kernel
 def _gap_at_end(placings, of_a, of_b, ways):
     """Gap [m] of two points at the end of the step along one of `ways`: that which gives the smaller."""
     px, py, pz = _placed(placings[0], 2, of_a)

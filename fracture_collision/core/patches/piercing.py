@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.mesh.connected_pieces import root_of
 from fracture_collision.core.patches.facing_points import axes_along, box_around, seen_along
 from fracture_collision.core.patches.surface import Surface
@@ -145,7 +145,7 @@ def do_listed_pierce(a, b, poses, rows):
     return False
 
 
-@inlined_kernel
+@query_kernel
 def _edges_pierce(a, i, b, j, distances):
     """Whether an edge of one row of a _flat passes through the other; distances: see _planes_cut."""
     for side in range(0, 6, 3):
@@ -207,7 +207,7 @@ def _side_of(surface, places, pose, box, by):
     return _Side(rows, boxes, _blocks(boxes), flat, is_known, surface, pose)
 
 
-@inlined_kernel
+@query_kernel
 def _know(side, k):
     """Write flat of a triangle, if it is not known: few of those that may meet the other have neighbours that do."""
     if not side.is_known[k]:
@@ -215,7 +215,7 @@ def _know(side, k):
         _put_flat(side.surface, side.rows[k], side.pose, side.flat, k)
 
 
-@inlined_kernel
+@query_kernel
 def _put_flat(surface, t, pose, flat, k):
     """Write a triangle of a Surface at a pose to row k, see _flat."""
     turn, place = pose
@@ -230,7 +230,7 @@ def _put_flat(surface, t, pose, flat, k):
     flat[k, 12] = flat[k, 9] * flat[k, 0] + flat[k, 10] * flat[k, 1] + flat[k, 11] * flat[k, 2]
 
 
-@inlined_kernel
+@query_kernel
 def _do_meet(one, i, other, j):
     return (
         (one[i, 0] <= other[j, 3]) & (one[i, 3] >= other[j, 0]) & (one[i, 1] <= other[j, 4])
@@ -238,7 +238,7 @@ def _do_meet(one, i, other, j):
     )  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def _meeting(own, row, others, first, last, hits):
     """Write which rows of `others` (k, 6) between two meet a row of `own` (n, 6); returns their number."""
     x0, y0, z0, x1, y1, z1 = own[row, 0], own[row, 1], own[row, 2], own[row, 3], own[row, 4], own[row, 5]
@@ -389,7 +389,7 @@ def _inside(posed, cuts):
     return inside
 
 
-@inlined_kernel
+@query_kernel
 def _join(parent, j, k):
     j, k = root_of(parent, j), root_of(parent, k)
     parent[max(j, k)] = min(j, k)
@@ -441,7 +441,7 @@ def _flat(posed, rows):
     return out
 
 
-@inlined_kernel
+@query_kernel
 def _planes_cut(a, i, b, j, reach, distances):
     """Whether rows of two _flat have corners on both sides of each other's plane, or no farther from it than `reach`.
 
@@ -460,13 +460,13 @@ def _planes_cut(a, i, b, j, reach, distances):
     return near
 
 
-@inlined_kernel
+@query_kernel
 def _above(a, i, b, j, corner):
     x, y, z = b[j, 3 * corner], b[j, 3 * corner + 1], b[j, 3 * corner + 2]
     return a[i, 9] * x + a[i, 10] * y + a[i, 11] * z - a[i, 12]
 
 
-@inlined_kernel
+@query_kernel
 def _crossing_at(a, i, b, j, edge, distances):
     """At which share a side of a row of a _flat passes through one of another, -1: does not; sides 3 to 5 are b's."""
     k = edge % 3
@@ -481,7 +481,7 @@ def _crossing_at(a, i, b, j, edge, distances):
     return -1.0
 
 
-@inlined_kernel
+@query_kernel
 def _volume(a, i, k, b, j, side):
     """Six times the signed volume [m3] of a tetrahedron with side k of one triangle and a side of another."""
     p, q, r, s = 3 * k, 3 * ((k + 1) % 3), 3 * side, 3 * ((side + 1) % 3)

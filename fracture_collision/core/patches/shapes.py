@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.edges.ridges import Ridges
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.kinds import BOX, TETRAHEDRA, TRIANGLES
-from fracture_collision.core.memory.pools import BACK_SIDE, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, GrowableArray
+from fracture_collision.core.memory.pools import BACK_SIDE, FRAGMENT, FRONT_SIDE, NEVER_BROKEN, OWNER, ROW, Pools
+from fracture_collision.core.memory.struct import Struct
+from fracture_collision.core.memory.tables import Column, Table
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
 from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
-from fracture_collision.core.patches.surface import Surface, make_surface
+from fracture_collision.core.patches.surface import CONVEX_EDGE, CORNER, FACET, Surface, make_surface
 from fracture_collision.core.separation.convex_hull import convex_hull
-from fracture_collision.core.separation.parting_direction import Hull
+from fracture_collision.core.separation.parting_direction import HULL_CORNER, HULL_FACE, HULL_RIDGE, Hull
 
 # A fragment is convex if its hull's volume exceeds its own by no more than this share.
 CONVEX = 1e-6
@@ -24,63 +27,50 @@ CONVEX = 1e-6
 CONCAVE, LOOKED_AT = 1e-3, 16
 
 
-class Shapes(NamedTuple):
+# What has rows in `begin` and `end` of Shapes.
+OF_ROWS = (HULL_CORNER, HULL_FACE, HULL_RIDGE, CORNER, FACET, CONVEX_EDGE)
+
+
+class Shapes(Struct):
     """Rows of each fragment are together; indices within them count from its first."""
 
-    first: np.ndarray  # (F + 1, 6) int64 first row of: hull corners, faces, ridges; surface corners, triangles, edges
-    size: np.ndarray  # (F,) float64 [m] longest side of its box; 0: it has no hull and surface here
-    is_convex: np.ndarray  # (F,) bool
+    begin: Annotated[np.ndarray, Column(FRAGMENT, np.int64, 6, OF_ROWS)]  # first row of each kind
+    end: Annotated[np.ndarray, Column(FRAGMENT, np.int64, 6, OF_ROWS)]
+    size: Annotated[np.ndarray, Column(FRAGMENT, np.float64)]  # [m] longest side of its box; 0: no hull, no surface
+    is_convex: Annotated[np.ndarray, Column(FRAGMENT, np.bool_)]
     hull: Hull
     surface: Surface
 
 
-class ShapeTable:
-    """Owns the arrays; fragments have the same rows as in FragmentPool."""
-
-    def __init__(self) -> None:
-        self._first = GrowableArray(6, np.int64)
-        self._first.append(np.zeros((1, 6), np.int64))
-        self._size, self._is_convex = GrowableArray(0, np.float64), GrowableArray(0, np.bool_)
-        self._hull = [
-            *(GrowableArray(0, np.float64) for _ in range(3)), GrowableArray(4, np.float64), GrowableArray(4, np.int64),
-        ]  # fmt: skip
-        self._surface = [
-            GrowableArray(3, np.float64), GrowableArray(3, np.int32), GrowableArray(3, np.float64),
-            GrowableArray(2, np.int32), GrowableArray(2, np.int32), GrowableArray(0, np.bool_),
-        ]  # fmt: skip
-
-    @property
-    def view(self) -> Shapes:
-        """The Shapes of all fragments: views of the arrays."""
-        return Shapes(
-            self._first.view, self._size.view, self._is_convex.view, Hull(*(column.view for column in self._hull)),
-            Surface(*(column.view for column in self._surface)),
-        )  # fmt: skip
-
-    def keep(self, stays: np.ndarray) -> None:
-        """Keep only the shapes of fragments where the mask `stays` (F,) is true."""
-        counts = np.diff(self._first.view, axis=0)
-        of = [np.repeat(stays, counts[:, k]) for k in range(6)]
-        for column, k in zip((*self._hull, *self._surface), (0, 0, 0, 1, 2, 3, 4, 4, 5, 5, 3), strict=True):
-            column.keep(of[k])
-        self._size.keep(stays)
-        self._is_convex.keep(stays)
-        self._first.replace(np.vstack((np.zeros((1, 6), np.int64), np.cumsum(counts[stays], axis=0))))
-
-    def append(self, triangles: np.ndarray, begin: np.ndarray) -> None:
-        """Add the shapes of the next fragments, by their triangles_of."""
-        first, size, is_convex, hull, surface = shapes_of(triangles, begin)
-        for column, rows in zip((*self._hull, *self._surface), (*hull, *surface), strict=True):
-            column.append(rows)
-        self._first.append(self._first.view[-1:] + first)
-        self._size.append(size)
-        self._is_convex.append(is_convex)
+NO_SHAPES = Table(Shapes).view
 
 
-NO_SHAPES = ShapeTable().view
+def append_shapes(table: Table[Shapes], triangles: np.ndarray, begin: np.ndarray) -> None:
+    """Add the shapes of the next fragments, by their triangles_of."""
+    ends, size, is_convex, hull, surface = shapes_of(triangles, begin)
+    hulls, surfaces = table.tables["hull"], table.tables["surface"]
+    first = np.array([
+        *(hulls[name].used for name in ("x", "faces", "ridges")),
+        *(surfaces[name].used for name in ("corners", "triangles", "edges")),
+    ])  # fmt: skip
+    for columns, rows in ((hulls, hull), (surfaces, surface)):
+        for column, values in zip(columns, rows, strict=True):
+            column.append(values)
+    table["begin"].append(first + np.vstack((np.zeros((1, 6), np.int64), ends[:-1])))
+    table["end"].append(first + ends)
+    table["size"].append(size)
+    table["is_convex"].append(is_convex)
 
 
-@inlined_kernel
+class Geometry(Struct):
+    """What a search reads."""
+
+    pools: Pools
+    edges: Ridges  # of all rows; NO_RIDGES where crossings are not searched
+    shapes: Shapes = NO_SHAPES  # of all rows; NO_SHAPES where no contacts are patches
+
+
+@query_kernel
 def have_patches(shapes, a, b):
     """Whether contacts of fragments a and b are patches (NO_SHAPES: none are)."""
     return len(shapes.size) > 0 and shapes.is_convex[a] and shapes.is_convex[b]
@@ -174,7 +164,7 @@ def shape_of(triangles):
 @kernel
 def hull_of(shapes, f):
     """The Hull of fragment f: views."""
-    c, d = shapes.first[f], shapes.first[f + 1]
+    c, d = shapes.begin[f], shapes.end[f]
     h = shapes.hull
     return Hull(h.x[c[0] : d[0]], h.y[c[0] : d[0]], h.z[c[0] : d[0]], h.faces[c[1] : d[1]], h.ridges[c[2] : d[2]])
 
@@ -182,7 +172,7 @@ def hull_of(shapes, f):
 @kernel
 def surface_of(shapes, f):
     """The Surface of fragment f: views."""
-    c, d = shapes.first[f], shapes.first[f + 1]
+    c, d = shapes.begin[f], shapes.end[f]
     s = shapes.surface
     return Surface(
         s.corners[c[3] : d[3]], s.triangles[c[4] : d[4]], s.normals[c[4] : d[4]], s.edges[c[5] : d[5]],

@@ -8,11 +8,12 @@ anew, but does not move it (cut_tetrahedron.py).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
+from fracture_collision.core.memory.tables import Column
 
 # Sine of the least angle by which the surface turns outwards at an edge: flatter ones are within faces.
 LEAST_TURN = 1e-4
@@ -24,15 +25,18 @@ _PLACES_EACH = 2  # of a hash table, for each entry
 _NONE = -1
 
 
+CORNER, FACET, CONVEX_EDGE = "corner", "facet", "convex edge"
+
+
 class Surface(NamedTuple):
     """Places in the body frame."""
 
-    corners: np.ndarray  # (c, 3) float64 [m], no two are equal
-    triangles: np.ndarray  # (t, 3) int32 rows of corners, counter-clockwise from outside
-    normals: np.ndarray  # (t, 3) float64, unit, outward
-    edges: np.ndarray  # (e, 2) int32 ends of the convex ones
-    beside: np.ndarray  # (e, 2) int32 the triangles at either side of these
-    is_sharp: np.ndarray  # (c,) bool: those that may be outermost alone
+    corners: Annotated[np.ndarray, Column(CORNER, np.float64, 3)]  # [m], no two are equal
+    triangles: Annotated[np.ndarray, Column(FACET, np.int32, 3)]  # rows of corners, counter-clockwise from outside
+    normals: Annotated[np.ndarray, Column(FACET, np.float64, 3)]  # unit, outward
+    edges: Annotated[np.ndarray, Column(CONVEX_EDGE, np.int32, 2)]  # ends of the convex ones
+    beside: Annotated[np.ndarray, Column(CONVEX_EDGE, np.int32, 2)]  # the triangles at either side of these
+    is_sharp: Annotated[np.ndarray, Column(CORNER, np.bool_)]  # those that may be outermost alone
 
 
 @kernel
@@ -91,7 +95,7 @@ def _sharp_corners(corners, edges):
     return is_sharp
 
 
-@inlined_kernel
+@query_kernel
 def _is_between(p, a, b):
     """Whether p is on the straight line between a and b."""
     ux, uy, uz = a[0] - p[0], a[1] - p[1], a[2] - p[2]
@@ -142,7 +146,7 @@ def _convex_edges(corners, triangles, normals):
     return edges[:count].copy(), beside[:count].copy()
 
 
-@inlined_kernel
+@query_kernel
 def _is_convex(begin, end, left, right):
     """Whether the surface turns outwards at an edge; `left` has it from begin to end, `right` the other way round."""
     ux, uy, uz = end[0] - begin[0], end[1] - begin[1], end[2] - begin[2]
@@ -156,7 +160,7 @@ def _is_convex(begin, end, left, right):
     return left[0] * right[0] + left[1] * right[1] + left[2] * right[2] < -1.0 + 1e-5
 
 
-@inlined_kernel
+@query_kernel
 def _room(entries):
     """A power of two that holds a hash table of so many entries."""
     places = 16
@@ -165,20 +169,20 @@ def _room(entries):
     return places
 
 
-@inlined_kernel
+@query_kernel
 def _hash_of_point(x, y, z):
     h = _bits(x) * 0x1F7B1EA1 ^ _bits(y) * 0x2545F491 ^ _bits(z) * 0x5851F42D
     h = (h ^ (h >> 33)) * 0x62A9D9ED799705F5
     return h ^ (h >> 29)
 
 
-@inlined_kernel
+@query_kernel
 def _hash_of_edge(p, q):
     h = (np.int64(min(p, q)) << 32 | np.int64(max(p, q))) * 0x62A9D9ED799705F5
     return h ^ (h >> 29)
 
 
-@inlined_kernel
+@query_kernel
 def _bits(x):
     """Bits of a number; both zeros have the same."""
     return np.float64(x + 0.0).view(np.int64)

@@ -32,7 +32,7 @@ def new_samples(pools, broken, cut, corners):
 
     pools: mesh and body; corners: all corners of the new fragments, including those of earlier cracks.
     """
-    mesh, body = pools
+    mesh, body = pools.mesh, pools.body
     first = mesh.first[broken.mesh]
     crossings = 2 * len(cut)
     count = crossings + len(corners.points)
@@ -60,7 +60,7 @@ def parts_of(pools, broken, samples):
 
     NOBODYS for corners, which depend on all cracks around them and are made anew for the new fragments.
     """
-    mesh, body = pools
+    mesh, body = pools.mesh, pools.body
     first = mesh.first[broken.mesh]
     parts = np.empty(len(samples), np.int32)
     for i in range(len(samples)):
@@ -84,10 +84,10 @@ def deal_samples(pools, samples, broken, new, room):
     room: the rows of SamplePool to be written (its columns), and the numbers of its first free sample and leaf. Returns
     (samples, leaves) written.
     """
-    mesh, body, fragment = pools
+    fragment = pools.fragment
     (points, numbers), (out_points, out_numbers, values, entries, sample, leaf) = samples, room
     count = broken.end - broken.first
-    parts = np.append(parts_of((mesh, body), broken, numbers), new.parts)
+    parts = np.append(parts_of(pools, broken, numbers), new.parts)
     order, begins = _grouped(parts, count)
     for k in range(len(order)):
         i = order[k]

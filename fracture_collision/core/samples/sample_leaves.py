@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.pools import LEAF, LEAF_VALUES, SAMPLE_ROUNDING
 
 # Cells of the curve along each side of a fragment's box.
@@ -29,13 +29,13 @@ class Leaves(NamedTuple):
     middle: np.ndarray  # (4,) float64 [m]: x y z in the body frame; rounding error bound along a unit vector
 
 
-@inlined_kernel
+@query_kernel
 def leaf_count(samples):
     """Number of leaves of so many samples."""
     return (samples + LEAF - 1) // LEAF
 
 
-@inlined_kernel
+@query_kernel
 def leaves_of(pools, f):
     """The Leaves of fragment `f`: views of the pools."""
     begin, end = pools.fragment.leaf_begin[f], pools.fragment.leaf_end[f]
@@ -96,7 +96,7 @@ def fill_leaves(points, begins, values, entries, middles):
         first += n
 
 
-@inlined_kernel
+@query_kernel
 def place_on_curve(point, low, high):
     """Place of a point of a box on the curve of Morton (1966): the interleaved bits of its three cell numbers."""
     place = np.uint32(0)
@@ -111,7 +111,7 @@ def place_on_curve(point, low, high):
     return place
 
 
-@inlined_kernel
+@query_kernel
 def _sort_by_place(rows, places, count, buckets):
     """Sort the first `count` of rows[0] by places[0]: a stable radix sort, lowest bits first."""
     for turn in range(_PASSES):
@@ -128,12 +128,12 @@ def _sort_by_place(rows, places, count, buckets):
             buckets[digit] += 1
 
 
-@inlined_kernel
+@query_kernel
 def _digit(place, shift):
     return np.int64((place >> shift) & np.uint32((1 << _BITS_A_PASS) - 1))
 
 
-@inlined_kernel
+@query_kernel
 def worst_of_leaves(leaves, planes, used, worst):
     """Write a lower bound of each leaf box's distance beyond the farthest of half-spaces n . x <= o to `worst`.
 
@@ -152,7 +152,7 @@ def worst_of_leaves(leaves, planes, used, worst):
         _see_beyond(plane, x, y, z, n, worst)
 
 
-@inlined_kernel
+@query_kernel
 def _see_beyond(plane, x, y, z, count, worst):
     nx, ny, nz, offset = plane[0], plane[1], plane[2], plane[3]
     for k in range(count):
@@ -160,7 +160,7 @@ def _see_beyond(plane, x, y, z, count, worst):
         worst[k] = beyond if beyond > worst[k] else worst[k]
 
 
-@inlined_kernel
+@query_kernel
 def worst_of_samples(leaves, planes, used, worst, looked_at, reaching):
     """Find the leaves that reach into all half-spaces, and how far each of their samples is beyond the farthest.
 
@@ -187,7 +187,7 @@ def worst_of_samples(leaves, planes, used, worst, looked_at, reaching):
     return count
 
 
-@inlined_kernel
+@query_kernel
 def farthest_sample(leaves, direction, hint, bounds):
     """(place in `entries`, height [m]) of the sample farthest along a direction (x, y, z), a unit vector.
 
@@ -216,7 +216,7 @@ def farthest_sample(leaves, direction, hint, bounds):
     return at, best
 
 
-@inlined_kernel
+@query_kernel
 def nearest_sample(leaves, x, y, z, bounds):
     """Upper bound [m] of the distance of the nearest sample from a point; infinity if there is none.
 
@@ -246,7 +246,7 @@ def nearest_sample(leaves, x, y, z, bounds):
     return math.sqrt(np.float64(least)) * (1.0 + SAMPLE_ROUNDING) + leaves.middle[3]
 
 
-@inlined_kernel
+@query_kernel
 def sample_about_middle(leaves, at):
     """(x, y, z) [m] of the sample at a place in `entries`, relative to the leaves' middle."""
     n = len(leaves.entries) // LEAF

@@ -19,7 +19,7 @@ from fracture_collision.core.contacts.deep_choice import choose_deep
 from fracture_collision.core.contacts.known_samples import ask_sample, home_tetrahedron, placed
 from fracture_collision.core.field.clearance import DEEP
 from fracture_collision.core.field.elementary_queries import INSIDE, OUTSIDE, sphere_test
-from fracture_collision.core.memory.compiled import spliced_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.memory.prefetch import fetch
 from fracture_collision.core.memory.rotations import to_other
@@ -32,7 +32,7 @@ from fracture_collision.core.separation.leaf_separation import half_spaces
 PLACE_OF, HOME = 0, 1
 
 
-@spliced_kernel
+@query_kernel
 def find_candidates(pools, pair, side, mine, approach, within, is_home, scratch):
     """Find the samples of a Side that may be within `within` [m] of the other fragment.
 
@@ -78,7 +78,7 @@ def find_candidates(pools, pair, side, mine, approach, within, is_home, scratch)
     return reached, count
 
 
-@spliced_kernel
+@query_kernel
 def ask(pools, side, rule, entry, looked, reached, count, scratch):
     """Query a sample of a Side, row `entry` of SamplePool, and store it as candidate number `count` if it is near.
 
@@ -98,7 +98,7 @@ def ask(pools, side, rule, entry, looked, reached, count, scratch):
     return answer.distance, True
 
 
-@spliced_kernel
+@query_kernel
 def keep_for_later(pools, side, rule, entry, where, count, scratch):
     """Store a sample as candidate number `count` if it may be deeper than epsilon; returns the new count.
 
@@ -114,7 +114,7 @@ def keep_for_later(pools, side, rule, entry, where, count, scratch):
     return count + 1
 
 
-@spliced_kernel
+@query_kernel
 def choose_contacts(pools, pair, rule, slack, found, sink, scratch):
     """Choose among the candidates of a Pair, by a Rule, and write the contacts to a Sink.
 

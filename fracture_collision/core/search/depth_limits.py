@@ -6,20 +6,20 @@ import math
 
 from fracture_collision.core.contacts.known_samples import rounding_slack, share_a_body
 from fracture_collision.core.field.elementary_queries import least_distance
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import SPHERE, is_bounded
 from fracture_collision.core.memory.rotations import to_other
 from fracture_collision.core.search.neighbour_lists import IN_PLACE, displacement
 
 
-@inlined_kernel
+@query_kernel
 def depth_limit(pools, f):
     """No point of fragment f is deeper than half its box's shortest side [m]."""
     b = pools.fragment.box[f]
     return 0.5 * min(b[3] - b[0], b[4] - b[1], b[5] - b[2])
 
 
-@inlined_kernel
+@query_kernel
 def depth_limit_of_pair(pools, pair):
     """No point of either of a Pair is deeper in the other [m], whatever a search would find."""
     a, b, rotation, translation = pair
@@ -38,7 +38,7 @@ def depth_limit_of_pair(pools, pair):
     return min(limit, deepest) + rounding_slack(pools, a, b, translation)
 
 
-@inlined_kernel
+@query_kernel
 def most_depth(pools, other, x, y, z, plane):
     """A cheap upper bound [m] of the depth of a point in `other`, which lies behind `plane`.
 

@@ -4,8 +4,7 @@ Neighbour lists (Verlet 1967): a search with a margin `reach` lists all samples 
 tolerance plus `reach` of the other fragment. Until a sample has moved farther than `reach` relative to the other, all
 samples within the tolerance are in the list. For each sample that was queried and is not near, the list stores how far
 it must move before it can be; until then it is not queried again. Querying the rest gives what the search would give:
-same contacts, same bytes. By the paper's rule, lists are made for pairs with fewer than the contacts wanted; for others
-a search takes some samples and leaves some, depending on its order of visits.
+same contacts, same bytes.
 
 Clearance: where a search found the pair separated, by its boxes or a plane, its list is empty and holds until the two
 have moved by their clearance.
@@ -21,10 +20,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.kinds import is_bounded
 from fracture_collision.core.memory.prefetch import fetch
 from fracture_collision.core.memory.rotations import to_other
+from fracture_collision.core.memory.struct import Struct
 
 # Capacity of a list: samples, and pairs of ridges (ridge_contacts.py).
 MOST_LISTED, MOST_RIDGES = 256, 256
@@ -69,7 +69,7 @@ class Listing(NamedTuple):
     shallow: float  # [m] crossings of ridges that get no deeper before samples do are left out
 
 
-class CloseTriangles(NamedTuple):
+class CloseTriangles(Struct):
     """Pairs of triangles of whole surfaces that alone may pierce each other; a row per slot, see NeighbourLists."""
 
     counts: np.ndarray  # (room,) int32, or NOT_LISTED
@@ -80,11 +80,9 @@ class CloseTriangles(NamedTuple):
     pairs: np.ndarray  # (room, MOST_CLOSE, 2) int32
 
 
-class NeighbourLists(NamedTuple):
-    """Columns have one row per slot; a pair keeps its slot as long as its boxes overlap."""
+class NeighbourLists(Struct):
+    """Columns have one row per slot."""
 
-    keys: np.ndarray  # (p,) int64, ascending: pair_keys of the last step's pairs
-    slots: np.ndarray  # (p,) int64: their slots
     poses: np.ndarray  # (room, 2, 12) float64: rotation (9), translation (3) [m] from a's frame to b's, and back
     listed_at: np.ndarray  # (room, 2, 12) float64: likewise when the list was made
     reach: np.ndarray  # (room,) float64 [m]: motion since then for which the list holds
@@ -97,10 +95,17 @@ class NeighbourLists(NamedTuple):
     close: CloseTriangles
 
 
+class Slots(NamedTuple):
+    """Which pair has which slot of the lists; it keeps its slot as long as its boxes overlap."""
+
+    keys: np.ndarray  # (p,) int64, ascending: pair_keys of the last step's pairs
+    slots: np.ndarray  # (p,) int64: their slots
+    lists: NeighbourLists
+
+
 def _make_lists(room: int) -> NeighbourLists:
-    nobody = np.empty(0, np.int64)
     return NeighbourLists(
-        nobody, nobody, np.zeros((room, 2, 12)), np.zeros((room, 2, 12)), np.zeros(room),
+        np.zeros((room, 2, 12)), np.zeros((room, 2, 12)), np.zeros(room),
         np.full(room, NOT_LISTED, np.int32), np.empty((room, MOST_LISTED, 2), np.int32),
         np.empty((room, MOST_LISTED, PLACE), np.float32), np.zeros(room, np.int32),
         np.empty((room, MOST_RIDGES, 2), np.int32), np.zeros((room, 3)),
@@ -111,7 +116,7 @@ def _make_lists(room: int) -> NeighbourLists:
     )  # fmt: skip
 
 
-NO_LISTS = _make_lists(0)
+NO_SLOTS = Slots(np.empty(0, np.int64), np.empty(0, np.int64), _make_lists(0))
 
 
 @kernel
@@ -123,21 +128,18 @@ def pair_keys(rows, pairs):
     return keys
 
 
-def with_pairs(before: NeighbourLists, keys: np.ndarray) -> tuple[NeighbourLists, np.ndarray, np.ndarray]:
-    """The lists of a step whose pairs have `keys` (p,).
+def with_pairs(before: Slots, keys: np.ndarray) -> tuple[Slots, np.ndarray, np.ndarray]:
+    """The Slots of a step whose pairs have `keys` (p,).
 
-    Returns (lists, slot of each pair (p,), whether it had that slot before (p,)). `before` must not be used afterwards:
-    columns are shared.
+    Returns (Slots, slot of each pair (p,), whether it had that slot before (p,)). `before` must not be used afterwards:
+    the lists are shared.
     """
-    room = len(before.counts)
-    if room < len(keys):
-        columns = _make_lists(max(len(keys) + len(keys) // 2, LEAST_ROOM))
-        _copy_lists(before, columns)
-        before = columns._replace(keys=before.keys, slots=before.slots)
-    ordered, ordered_slots, slots, known = _take_slots(
-        before.keys, before.slots, keys, before.counts, before.toward, before.close.counts
-    )
-    return before._replace(keys=ordered, slots=ordered_slots), slots, known
+    lists = before.lists
+    if len(lists.counts) < len(keys):
+        lists = _make_lists(max(len(keys) + len(keys) // 2, LEAST_ROOM))
+        _copy_lists(before.lists, lists)
+    ordered, ordered_slots, slots, known = _take_slots(before.keys, before.slots, keys, lists)
+    return Slots(ordered, ordered_slots, lists), slots, known
 
 
 @kernel
@@ -165,7 +167,7 @@ def _copy_close(old, new, slot):
 
 
 @kernel
-def _take_slots(known_keys, known_slots, keys, counts, toward, close_counts):
+def _take_slots(known_keys, known_slots, keys, lists):
     """Assign slots to the pairs of a step: the ones they had, or free ones.
 
     A free slot drops the state of its previous pair. Returns (keys ascending, their slots, slots (p,) of `keys`,
@@ -177,7 +179,7 @@ def _take_slots(known_keys, known_slots, keys, counts, toward, close_counts):
             order = np.argsort(keys, kind="mergesort")
             break
     slots, known = np.empty(len(keys), np.int64), np.zeros(len(keys), np.bool_)
-    is_taken = np.zeros(len(counts), np.bool_)
+    is_taken = np.zeros(len(lists.counts), np.bool_)
     i = 0
     for k in order:
         while i < len(known_keys) and known_keys[i] < keys[k]:
@@ -191,12 +193,12 @@ def _take_slots(known_keys, known_slots, keys, counts, toward, close_counts):
             while is_taken[free]:
                 free += 1
             slots[k] = free
-            counts[free], toward[free], close_counts[free] = NOT_LISTED, 0.0, NOT_LISTED
+            lists.counts[free], lists.toward[free], lists.close.counts[free] = NOT_LISTED, 0.0, NOT_LISTED
             free += 1
     return keys[order], slots[order], slots, known
 
 
-@inlined_kernel
+@query_kernel
 def reach_of(moves, radius):
     """Reach of a list, and how far ahead a sample's distance is searched, for a pair that moves by `moves` [m] a step.
 
@@ -208,7 +210,7 @@ def reach_of(moves, radius):
     return reach, min(max(AHEAD * moves, LEAST_REACH * radius), reach)
 
 
-@inlined_kernel
+@query_kernel
 def fetch_slot(lists, slot):
     """Prefetch the state of the next pair; no effect where it has no slot (-1)."""
     if slot >= 0:
@@ -220,7 +222,7 @@ def fetch_slot(lists, slot):
         fetch(lists.reach, slot)
 
 
-@inlined_kernel
+@query_kernel
 def frame_between(own, other, rotation, translation):
     """Transform of a place relative to own's middle into one relative to the other's, in the other's frame.
 
@@ -233,7 +235,7 @@ def frame_between(own, other, rotation, translation):
     return np.float32(x), np.float32(y), np.float32(z), np.float32(rounding)
 
 
-@inlined_kernel
+@query_kernel
 def place_of(row, rotation, frame):
     """Place of the sample of a row of `places` relative to the other's middle: (x, y, z) float32 [m]."""
     x, y, z = row[OWN], row[OWN + 1], row[OWN + 2]
@@ -244,7 +246,7 @@ def place_of(row, rotation, frame):
     )
 
 
-@inlined_kernel
+@query_kernel
 def see(row, rotation, frame, distance, near):
     """Record that the sample of a row of `places` is `distance` [m] from the other, where it is near at `near` [m].
 
@@ -254,7 +256,7 @@ def see(row, rotation, frame, distance, near):
     row[UNTIL] = NEAR_LAST if distance == NEAR_LAST else max(np.float32(distance - near) - frame[3], np.float32(0.0))
 
 
-@inlined_kernel
+@query_kernel
 def may_be_near(row, rotation, frame):
     """Whether the sample of a row of `places` may be near by now."""
     left = row[UNTIL] - frame[3]
@@ -265,7 +267,7 @@ def may_be_near(row, rotation, frame):
     return x * x + y * y + z * z >= left * left
 
 
-@inlined_kernel
+@query_kernel
 def least_left(listed, places, count, middle_a, middle_b, rotation, translation, of_far):
     """Lower bound [m] of how far the listed samples of a pair must still move before one can be near.
 
@@ -287,7 +289,7 @@ def least_left(listed, places, count, middle_a, middle_b, rotation, translation,
     return max(np.float64(left), 0.0)
 
 
-@inlined_kernel
+@query_kernel
 def keep_pose(rotation, translation, out):
     """Write relative poses (2, 3, 3), (2, 3) to (2, 12)."""
     for side in range(2):
@@ -297,7 +299,7 @@ def keep_pose(rotation, translation, out):
             out[side, 9 + i] = translation[side, i]
 
 
-@inlined_kernel
+@query_kernel
 def spin(rotation, before):
     """Largest displacement of a point at distance 1 from the origin between rotations (3, 3) and (9,).
 
@@ -311,7 +313,7 @@ def spin(rotation, before):
     return math.sqrt(0.5 * total)
 
 
-@inlined_kernel
+@query_kernel
 def displacement(pools, pair, before):
     """Upper bound [m] of how far a point of either fragment has moved in the other's frame since poses (2, 12)."""
     a, b, rotation, translation = pair

@@ -26,33 +26,52 @@ from fracture_collision.grouping import begins_of
 # are searched again. Memory that is never written costs nothing.
 FIRST_ROOM = 64
 LEAST_ROOM = 1 << 15
+# Where the contacts of a pair are not.
+NO_ROOM, ELSEWHERE = -1, -2
+
+
+class Found(NamedTuple):
+    """What the search of a pair found."""
+
+    count: int  # type: ignore[assignment] # contacts
+    bound: float  # [m] missed depth bound
+    visits: int
+    exhausted: int  # COMPLETE or BY_LIMIT
+    clear: float  # [m] lower bound of the distance in excess of the detection tolerance, 0: unknown
 
 
 class Results(NamedTuple):
-    """What threads write, each pair its own row."""
+    """What threads write: each thread its rows of contacts and ids, and of a pair the other columns."""
 
-    begin: np.ndarray  # (p,) int64: a pair's contacts fill consecutive rows of its thread's Sink; -1: there was no room
+    contacts: np.ndarray  # (threads * room, 10) float64: rows of Sink
+    ids: np.ndarray  # (threads * room, 5) int64
+    used: np.ndarray  # (threads, 16) int64: how many of its rows a thread has used, then padding
+    begin: np.ndarray  # (p,) int64: first row of a pair's contacts, NO_ROOM, or ELSEWHERE: not here
     counts: np.ndarray  # (p,) int64
     bounds: np.ndarray  # (p,) float64 [m]
     visits: np.ndarray  # (p,) int64
     exhausted: np.ndarray  # (p,) uint8
+    clear: np.ndarray  # (p,) float64 [m]
     is_ahead: np.ndarray  # (p,) bool: whether some of its contacts lie in the future
 
 
-class Own(NamedTuple):
-    """What only one thread writes."""
+@query_kernel
+def room_of(out, thread):
+    """A Sink of the rows of Results that a thread has left."""
+    room = len(out.contacts) // len(out.used)
+    begin, end = thread * room + out.used[thread, 0], (thread + 1) * room
+    return Sink(out.contacts[begin:end], out.ids[begin:end])
 
-    sink: Sink
-    scratch: Scratch
 
-
-class _Pass(NamedTuple):
-    """A search of some pairs, and where their contacts are."""
-
-    todo: np.ndarray  # (m,) int64
-    contacts: np.ndarray  # (threads, room, 10) float64: rows of each thread's Sink
-    ids: np.ndarray  # (threads, room, 5) int64
-    begin: np.ndarray  # (p,) int64: first row of each pair, -1: not here
+@query_kernel
+def keep_found(out, p, thread, found):
+    """Write the Found of pair p to Results; its contacts fill the first rows of room_of a thread, or had no room."""
+    out.counts[p], out.bounds[p], out.visits[p] = found.count, found.bound, found.visits
+    out.exhausted[p], out.clear[p] = found.exhausted, found.clear
+    room = len(out.contacts) // len(out.used)
+    if found.count <= room - out.used[thread, 0]:
+        out.begin[p] = thread * room + out.used[thread, 0]
+        out.used[thread, 0] += found.count
 
 
 class Passes:
@@ -60,45 +79,43 @@ class Passes:
 
     def __init__(self, step: Step, scratch: tuple[Scratch, ...], crew: Crew) -> None:
         p = len(step.pairs)
-        self._step, self._scratch, self._crew, self._passes = step, scratch, crew, list[_Pass]()
-        self.out = Results(
-            np.empty(0, np.int64), np.zeros(p, np.int64), np.zeros(p), np.zeros(p, np.int64), np.zeros(p, np.uint8),
+        self._step, self._scratch, self._crew, self._passes = step, scratch, crew, list[tuple[np.ndarray, Results]]()
+        self.columns = (
+            np.zeros(p, np.int64), np.zeros(p), np.zeros(p, np.int64), np.zeros(p, np.uint8), np.zeros(p),
             np.zeros(p, np.bool_),
         )  # fmt: skip
 
-    def run(self, query: Callable[..., None], todo: np.ndarray, *arguments: object) -> np.ndarray:
-        """Call query(*arguments, todo, Results, Own, part) in each thread, see Crew.share; returns those without room.
+    def new(self, todo: np.ndarray, again: bool) -> Results:
+        """Results for pairs `todo` (m,); again: their columns say how many contacts they have."""
+        threads = self._crew.threads
+        room = int(self.columns[0][todo].sum()) if again else max(LEAST_ROOM, FIRST_ROOM * len(todo) // threads)
+        out = Results(
+            np.empty((threads * room, 10)), np.empty((threads * room, 5), np.int64), np.zeros((threads, 16), np.int64),
+            np.full(len(self._step.pairs), NO_ROOM), *self.columns,
+        )  # fmt: skip
+        self._passes.append((todo, out))
+        return out
 
-        Pairs `todo` (m,): a thread has those at its number, its number + threads, and so on.
-        """
-        threads, p = self._crew.threads, len(self.out.counts)
-        room = max(LEAST_ROOM, FIRST_ROOM * len(todo) // threads)
-        if self._passes:  # how many each has is known
-            room = max(int(self.out.counts[todo][t::threads].sum()) for t in range(threads))
-        contacts, ids, begin = np.empty((threads, room, 10)), np.empty((threads, room, 5), np.int64), np.full(p, -1)
-        own = [Own(Sink(contacts[t], ids[t]), self._scratch[t]) for t in range(threads)]
-        self._crew.share(query, *arguments, todo, Results(begin, *self.out[1:]), own=own)
-        self._passes.append(_Pass(todo, contacts, ids, begin))
-        return todo[begin[todo] < 0]
+    def run(self, query: Callable[..., None], *arguments: object) -> None:
+        """Call query(*arguments, Scratch, part) in each thread, see Crew.share."""
+        self._crew.share(query, *arguments, own=self._scratch)
 
     def gather(self, offsets: np.ndarray) -> WorldContacts:
         """Contacts of all pairs searched, from offsets[p] on; offsets (p + 1,) int64."""
         columns = make_world_contacts(int(offsets[-1]))
-        for searched in self._passes:
-            _gather(self._step, *searched, self.out.counts, offsets, columns)
+        for todo, out in self._passes:
+            _gather(self._step, todo, out, offsets, columns)
         return columns
 
 
 @kernel
-def _gather(step, todo, contacts, ids, begin, counts, offsets, out):
-    """Write the contacts that a search has left to WorldContacts, from offsets[p] on."""
-    for k in range(len(todo)):
-        p, thread = todo[k], k % len(contacts)
-        if begin[p] < 0:
-            continue
-        sink = Sink(contacts[thread], ids[thread])
-        for c in range(counts[p]):
-            put_in_world(step, p, sink, begin[p] + c, out, offsets[p] + c)
+def _gather(step, todo, found, offsets, columns):
+    """Write the contacts of pairs `todo`, Results of their search, to WorldContacts, from offsets[p] on."""
+    sink = Sink(found.contacts, found.ids)
+    for p in todo:
+        if found.begin[p] >= 0:
+            for c in range(found.counts[p]):
+                put_in_world(step, p, sink, found.begin[p] + c, columns, offsets[p] + c)
 
 
 def within_limit(pools: Pools, step: Step, found: PairContacts, most: int, scratch: Scratch) -> PairContacts:
@@ -114,14 +131,15 @@ def within_limit(pools: Pools, step: Step, found: PairContacts, most: int, scrat
     stays[by_depth[rank < level]] = True
     bounds, exhausted = found.bounds.copy(), found.exhausted.copy()
     cut = np.flatnonzero(counts > level)
-    _bound_by_thickness(pools, step, cut, bounds, scratch)
+    bound_by_thickness(pools, step, cut, bounds, scratch)
     exhausted[cut] = BY_LIMIT
     columns = (column[stays] for column in (found.points_a, found.points_b, found.normals, found.gaps, found.samples))
     return PairContacts(np.minimum(counts, level), bounds, found.visits, exhausted, *columns)
 
 
 @query_kernel
-def _bound_by_thickness(pools, step, todo, bounds, scratch):
+def bound_by_thickness(pools, step, todo, bounds, scratch):
+    """Raise the bounds (p,) [m] of pairs `todo` of a Step to the depth that their boxes, or a plane, allow."""
     for p in todo:
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
         bounds[p] = max(bounds[p], depth_limit_of_pair(pools, pair))

@@ -15,7 +15,7 @@ from fracture_collision.core.contacts.known_samples import query_seeds, rounding
 from fracture_collision.core.edges.ridge_contacts import Separation, add_crossings, add_listed_crossings, have_ridges
 from fracture_collision.core.field.clearance import BEYOND, UNKNOWN, clearance, may_be_clear, side_of_surface
 from fracture_collision.core.fracture.crack_seeds import find_seeds
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import SPHERE, is_bounded
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.samples.sample_leaves import leaves_of, sample_about_middle
@@ -61,13 +61,13 @@ class Searched(NamedTuple):
     clear: float = 0.0  # [m] lower bound, beyond rounding, of the distance in excess of rule.near; 0: unknown
 
 
-@inlined_kernel
+@query_kernel
 def may_search(pools, a, b):
     """Whether `search_samples` supports a pair."""
     return pools.fragment.kind[a] != SPHERE and pools.fragment.kind[b] != SPHERE
 
 
-@inlined_kernel
+@query_kernel
 def begins_with_seeds(pools, pair, rule):
     """Whether the two are so near to where they broke that the crack's seeds are queried first (crack_seeds.py)."""
     a, b, _, _ = pair
@@ -166,7 +166,7 @@ def search_samples(pools, edges, pair, rule, listing, sink, scratch):
     return Searched(chosen, max(bound, unasked), visits, samples, crossings, 0.0)
 
 
-@inlined_kernel
+@query_kernel
 def _planes_between(pools, pair, leaves, within, rounding, toward, scratch):
     """Distance of the hulls of a Pair, by its Leaves, and planes that bound them; the search stops beyond `within` [m].
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from fracture_collision.core.edges.ridge_contacts import MOST_CROSSINGS
@@ -12,6 +10,7 @@ from fracture_collision.core.edges.ridges import Ridges
 from fracture_collision.core.memory.compiled import kernel
 from fracture_collision.core.memory.pair import Sink, make_sink
 from fracture_collision.core.memory.pools import LEAF
+from fracture_collision.core.memory.struct import Struct
 from fracture_collision.core.mesh.triangle_field import STACK
 from fracture_collision.core.search.neighbour_lists import MOST_AHEAD, PLACE
 from fracture_collision.core.separation.approach import ANY_WAY, WAY
@@ -23,7 +22,7 @@ MOST_PLACES = 1024
 ROOTS = 12
 
 
-class Scratch(NamedTuple):
+class Scratch(Struct):
     """Working memory of one thread.
 
     A few rows of padding keep the small arrays of two threads in different cache lines.

@@ -11,14 +11,14 @@ import math
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 
 # Columns of a way [m], and a way that allows any approach.
 WAY = 8
 ANY_WAY = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0])
 
 
-@inlined_kernel
+@query_kernel
 def nearer_along(way, x, y, z):
     """Upper bound [m] on the approach of a point along the unit vector (x, y, z) that points to it; way: its motion."""
     wx, wy, wz = way[3], way[4], way[5]

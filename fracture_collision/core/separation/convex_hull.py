@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 
 # Share of the longest side of the points' box. The plane of a sliver as thin as this is wrong by the rounding of
 # doubles over it, far less than this: with a smaller share, planes of slivers would make holes.
@@ -113,7 +113,7 @@ def convex_hull(points):
     return _merged(points, its, outside, FLAT * size)
 
 
-@inlined_kernel
+@query_kernel
 def _begin(points, its, first, enough, after):
     """Write the triangles of a first tetrahedron, four rows of points, to rows 0 .. 3; the others wait outside them.
 
@@ -134,7 +134,7 @@ def _begin(points, its, first, enough, after):
                     break
 
 
-@inlined_kernel
+@query_kernel
 def _raise_cone(points, its, top, borders, free, free_count, starts_at):
     """Add the triangles between `borders` (k, 2), see _see, and the point `top`, in free rows.
 
@@ -163,7 +163,7 @@ def _raise_cone(points, its, top, borders, free, free_count, starts_at):
     return free_count
 
 
-@inlined_kernel
+@query_kernel
 def _hand_over(points, its, seen, top, enough, after, starts_at):
     """Let the points outside of triangles that `top` sees wait outside the new ones; seen: as _see wrote them."""
     visible, borders = seen
@@ -179,7 +179,7 @@ def _hand_over(points, its, seen, top, enough, after, starts_at):
             p = following
 
 
-@inlined_kernel
+@query_kernel
 def _first_corners(points):
     """Four points far from each other, rows of `points`; the last is below the triangle of the others."""
     n = len(points)
@@ -207,7 +207,7 @@ def _first_corners(points):
     return a, b, c, e
 
 
-@inlined_kernel
+@query_kernel
 def _plane(points, a, b, c):
     """(x, y, z, offset) of the plane through three points: unit normal, or zeros if they are on a line."""
     x, y, z = _twice_area(points, (a, b, c))
@@ -217,19 +217,19 @@ def _plane(points, a, b, c):
     return x, y, z, x * points[a, 0] + y * points[a, 1] + z * points[a, 2]
 
 
-@inlined_kernel
+@query_kernel
 def _height(plane, p):
     return plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] - plane[3]
 
 
-@inlined_kernel
+@query_kernel
 def _put_plane(points, its, t):
     its.planes[t, 0], its.planes[t, 1], its.planes[t, 2], its.planes[t, 3] = _plane(
         points, its.corners[t, 0], its.corners[t, 1], its.corners[t, 2]
     )
 
 
-@inlined_kernel
+@query_kernel
 def _keep_outside(points, its, t, p, enough, after):
     """Put a point into the chain of triangle t, if it is outside of it; returns whether it is."""
     height = _height(its.planes[t], points[p])
@@ -242,7 +242,7 @@ def _keep_outside(points, its, t, p, enough, after):
     return True
 
 
-@inlined_kernel
+@query_kernel
 def _drop(points, its, t, dropped, after):
     """Take a point out of the chain of triangle t."""
     p = its.first[t]
@@ -254,7 +254,7 @@ def _drop(points, its, t, dropped, after):
         p = following
 
 
-@inlined_kernel
+@query_kernel
 def _see(points, its, t, top, enough, starts_at, out):
     """Mark the triangles that the point `top`, outside of triangle t, sees, and find their border.
 
@@ -360,7 +360,7 @@ def _merged(points, its, outside, flat):
     return ConvexHull(corners, normals[:faces].copy(), ridges[:count].copy(), volume, outside)
 
 
-@inlined_kernel
+@query_kernel
 def _twice_area(points, c):
     """Normal (x, y, z) of a triangle of three points, of twice its area in length."""
     ux, uy, uz = points[c[1], 0] - points[c[0], 0], points[c[1], 1] - points[c[0], 1], points[c[1], 2] - points[c[0], 2]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.kinds import PLANE
 from fracture_collision.core.memory.rotations import rotated, to_other
 from fracture_collision.core.mesh.closest_point import closest_on_triangle
@@ -30,7 +30,7 @@ MOST_STEPS = 12
 SETTLED = 1e-3
 
 
-@inlined_kernel
+@query_kernel
 def parting_plane_of_leaves(pools, pair, leaves, distance, toward, bounds, most_steps=MOST_STEPS):
     """The direction of greatest separation, or least overlap, of the hulls of a Pair that the search finds.
 
@@ -83,7 +83,7 @@ def parting_plane_of_leaves(pools, pair, leaves, distance, toward, bounds, most_
     return found, best_low, best_high
 
 
-@inlined_kernel
+@query_kernel
 def next_simplex(new, k0, k1, k2):
     """Of the triangles formed by `new` and two of the corners k0, k1, k2, the one nearest to the origin.
 
@@ -104,12 +104,12 @@ def next_simplex(new, k0, k1, k2):
     return v, k0, k1, new
 
 
-@inlined_kernel
+@query_kernel
 def _nearest_to_origin(a, b, c):
     return closest_on_triangle(0.0, 0.0, 0.0, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
 
 
-@inlined_kernel
+@query_kernel
 def encloses_origin(new, k0, k1, k2):
     """Whether the tetrahedron encloses the origin, known not to be beyond the face opposite its newest corner."""
     return (
@@ -117,7 +117,7 @@ def encloses_origin(new, k0, k1, k2):
     )  # fmt: skip
 
 
-@inlined_kernel
+@query_kernel
 def _same_side(a, b, c, d):
     """Whether the origin and d are on one side of the plane through a, b, c."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -137,7 +137,7 @@ class Approach(NamedTuple):
     way: np.ndarray  # (WAY,) float64: how they move (motion.put_way)
 
 
-@inlined_kernel
+@query_kernel
 def half_spaces(pools, pair, side, middle, approach, planes):
     """Half-spaces outside of which no sample of one side's fragment may be near the other, by an Approach.
 
@@ -163,7 +163,7 @@ def half_spaces(pools, pair, side, middle, approach, planes):
     return used
 
 
-@inlined_kernel
+@query_kernel
 def _put_half_space(back, normal, offset, approach, m, planes, row):
     """Write row `row` of `planes`: n . x <= offset in the other's frame, extended by the motion of an Approach.
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 
-from fracture_collision.core.memory.compiled import inlined_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.memory.rotations import to_other
 
 # Two axes with a shorter cross product are parallel; the axes themselves cover what the product would separate.
 PARALLEL = 1e-6
 
 
-@inlined_kernel
+@query_kernel
 def way_between(box_a, box_b, rotation, translation):
     """From the centre of b's box to that of a's, in b's frame; rotation, translation: from a's frame to b's."""
     x, y, z = to_other(
@@ -23,7 +23,7 @@ def way_between(box_a, box_b, rotation, translation):
     return x - 0.5 * (box_b[0] + box_b[3]), y - 0.5 * (box_b[1] + box_b[4]), z - 0.5 * (box_b[2] + box_b[5])
 
 
-@inlined_kernel
+@query_kernel
 def box_clearance(box_a, box_b, rotation, translation, distance):
     """Lower bound [m] of the distance between two oriented boxes, by the 15 candidate axes.
 

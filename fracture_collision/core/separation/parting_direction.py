@@ -12,12 +12,13 @@ that enters a thin wall is held on the side that it came from, and one that slid
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.rotations import rotated
+from fracture_collision.core.memory.tables import Column
 
 # Ridges at less than 1.1 degrees from parallel have no direction across both.
 LEAST_SINE = 0.02
@@ -31,14 +32,17 @@ LEAST_BLEND = 0.1
 _NOT_APART, _APART = 0, 1
 
 
+HULL_CORNER, HULL_FACE, HULL_RIDGE = "hull corner", "hull face", "hull ridge"
+
+
 class Hull(NamedTuple):
     """A fragment's ConvexHull, about its own origin."""
 
-    x: np.ndarray  # (c,) float64 [m] of its corners
-    y: np.ndarray  # (c,) float64 [m]
-    z: np.ndarray  # (c,) float64 [m]
-    faces: np.ndarray  # (f, 4) float64: unit outward normal, offset [m]
-    ridges: np.ndarray  # (r, 4) int64: corners at both ends; its faces
+    x: Annotated[np.ndarray, Column(HULL_CORNER, np.float64)]  # [m] of its corners
+    y: Annotated[np.ndarray, Column(HULL_CORNER, np.float64)]  # [m]
+    z: Annotated[np.ndarray, Column(HULL_CORNER, np.float64)]  # [m]
+    faces: Annotated[np.ndarray, Column(HULL_FACE, np.float64, 4)]  # unit outward normal, offset [m]
+    ridges: Annotated[np.ndarray, Column(HULL_RIDGE, np.int64, 4)]  # corners at both ends; its faces
 
 
 class Relative(NamedTuple):
@@ -123,7 +127,7 @@ def _choose(a, b, relative, tolerance, ways, now, best):
     return Parting(True, 0.0, 0.0, 0.0, 0.0, 0.0)  # not reached: the best of all is in some class
 
 
-@inlined_kernel
+@query_kernel
 def _pass_each_other(a, b, relative, ways, now):
     """Whether a direction between the best of now and the best of the end separates the two at both times.
 
@@ -154,7 +158,7 @@ def _pass_each_other(a, b, relative, ways, now):
     return False
 
 
-@inlined_kernel
+@query_kernel
 def _face_direction(a, b, relative, k):
     """Direction k from a to b in b's frame: the normal of a face of a, then the opposite of one of b."""
     if k < len(a.faces):
@@ -163,7 +167,7 @@ def _face_direction(a, b, relative, k):
     return -b.faces[k, 0], -b.faces[k, 1], -b.faces[k, 2]
 
 
-@inlined_kernel
+@query_kernel
 def _apart_at_face(a, b, relative, k, n):
     """(how far the two are apart now along direction k of _face_direction, n; the corner across from the face)."""
     if k < len(a.faces):
@@ -173,7 +177,7 @@ def _apart_at_face(a, b, relative, k, n):
     return lowest - b.faces[k - len(a.faces), 3] + _along(n, relative.between[0]), corner
 
 
-@inlined_kernel
+@query_kernel
 def _turned_back(m, n):
     return (
         m[0, 0] * n[0] + m[1, 0] * n[1] + m[2, 0] * n[2],
@@ -182,12 +186,12 @@ def _turned_back(m, n):
     )
 
 
-@inlined_kernel
+@query_kernel
 def _along(n, p):
     return n[0] * p[0] + n[1] * p[1] + n[2] * p[2]
 
 
-@inlined_kernel
+@query_kernel
 def _lowest(hull, n):
     """(least, corner): how far the lowest corner along n is from the origin, and which it is."""
     least, at = math.inf, 0
@@ -198,7 +202,7 @@ def _lowest(hull, n):
     return least, at
 
 
-@inlined_kernel
+@query_kernel
 def _apart_at(a, b, relative, when, n):
     """How far the two are apart along n, now (when = 0) or at the end (1)."""
     own = rotated(relative.to_a[when], -n[0], -n[1], -n[2])
@@ -232,7 +236,7 @@ def _ridges_that_may(own, other, relative, side, apart, across, least):
     return found, count
 
 
-@inlined_kernel
+@query_kernel
 def _corner_in(other, relative, side, k):
     """Corner k of the other fragment in the frame of the one on `side`."""
     x, y, z = other.x[k], other.y[k], other.z[k]
@@ -243,7 +247,7 @@ def _corner_in(other, relative, side, k):
     return x - t[0], y - t[1], z - t[2]
 
 
-@inlined_kernel
+@query_kernel
 def _most_between(m, n, w):
     """The greatest product of w with a unit vector on the shorter arc between unit vectors m and n."""
     along_m, along_n = _along(m, w), _along(n, w)

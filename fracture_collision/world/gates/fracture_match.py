@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import inlined_kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel
 from fracture_collision.core.mesh.tet_mesh import TetMesh
 
 # Problems that match_cuts reports. Its row is an edge of the mesh for DOUBLED, EXTRA, MISSING, else a message entry.
@@ -108,7 +108,7 @@ def _find_edges(edges, edges_begin, ends, found):
     return -1, in_order
 
 
-@inlined_kernel
+@query_kernel
 def _is_between(edges, part_of_node, e):
     p, q = part_of_node[edges[e, 0]], part_of_node[edges[e, 1]]
     return (p != q) & (p >= 0) & (q >= 0)
