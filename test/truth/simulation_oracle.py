@@ -39,15 +39,15 @@ class Oracle:
             self.sequence, np.array(ids, np.uint32),
             np.array([self.fragments[i][0].body_id for i in ids], np.uint32),
             np.array([self.parents[i] for i in ids], np.uint32),
-            np.array([p[0] for p in parts]), np.concatenate([p[1] for p in parts]),
-            np.concatenate([p[2][[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] for p in parts]),
+            np.array([p[0] for p in parts]), np.array([p[1] for p in parts]),
+            np.array([p[2][[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] for p in parts]),
             np.zeros(len(ids)), "",
         )  # fmt: skip
 
     def contacts(self, states):
         poses = {i: (np.zeros(3), np.eye(3)) for i, b in self.bodies.items() if b.is_static}
         for row, i in enumerate(states.fragment_ids):
-            rotation = Rotation.from_quat(states.orientations[4 * row : 4 * row + 4]).as_matrix()
+            rotation = Rotation.from_quat(states.orientations[row]).as_matrix()
             poses[int(i)] = (states.positions[row], rotation)
         pairs = []
         ids = sorted(poses)
@@ -68,7 +68,7 @@ def _array(states, pairs, fragments):
     combined = [(fragments[a][0], fragments[b][0]) for a, b, _ in pairs]
 
     def column(k):
-        return np.concatenate([np.atleast_1d(c[k]) for c in flat]) if flat else np.zeros(0)
+        return np.array([c[k] for c in flat]) if flat else np.zeros((0, 3)[: 1 + (k < 3)])
 
     return ContactConstraintArray(
         states.step, states.fracture_sequence, 0,

@@ -142,7 +142,7 @@ def _trembling(states):
     for _ in range(TREMBLES):
         away = random.normal(size=(len(states.fragment_ids), 3))
         away *= TREMBLE / np.linalg.norm(away, axis=1, keepdims=True)
-        yield states._replace(positions=states.positions + away.ravel())
+        yield states._replace(positions=states.positions + away)
 
 
 def _standing_boxes(simulation, registry):

@@ -184,7 +184,7 @@ class PageCommands:
         if states is None or not (states.fragment_ids == fragment_id).any():
             return None
         row = np.flatnonzero(states.fragment_ids == fragment_id)[0]
-        positions, orientations = states.positions, states.orientations
+        positions, orientations = states.positions.reshape(-1, 3), states.orientations.reshape(-1, 4)
         return positions[row], Rotation.from_quat(orientations[row])
 
     def _strike(self, arrow: str) -> None:
@@ -260,4 +260,4 @@ class PageCommands:
 
 
 def _middle(states: FragmentStates) -> np.ndarray:
-    return np.median(states.positions, axis=0)
+    return np.median(states.positions.reshape(-1, 3), axis=0)

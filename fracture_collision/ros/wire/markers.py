@@ -72,7 +72,7 @@ class FragmentMarkers:
 
     def poses(self, states: FragmentStates) -> dict[int, np.ndarray]:
         """Of living fragments: those that the states name, and static ones."""
-        table = np.hstack((states.positions, states.orientations))
+        table = np.hstack((states.positions.reshape(-1, 3), states.orientations.reshape(-1, 4)))
         static = (each for each, body in self._body_of.items() if self._static.get(body, False))
         named = zip(states.fragment_ids.tolist(), table, strict=True)
         return dict.fromkeys(static, AT_ORIGIN) | {each: pose for each, pose in named if each in self._body_of}
@@ -83,7 +83,7 @@ class FragmentMarkers:
 
     def add_surface(self, mesh: FragmentMesh) -> None:
         """Takes the surface of a fragment of the registry."""
-        corners = mesh.vertices.astype(np.float64)[mesh.triangles]
+        corners = mesh.vertices.reshape(-1, 3).astype(np.float64)[mesh.triangles.reshape(-1, 3)]
         paint = self._palette.paint(mesh.fragment_id, self._body_of[mesh.fragment_id])
         self._surfaces[mesh.fragment_id] = [
             MarkerRecord(
@@ -131,8 +131,8 @@ def contact_markers(contacts: ContactConstraintArray) -> list[MarkerRecord]:
             MarkerRecord(CONTACTS, 0, Marker.POINTS, Marker.DELETE),
             MarkerRecord(NORMALS, 0, Marker.LINE_LIST, Marker.DELETE),
         ]
-    middle = 0.5 * (contacts.points_a + contacts.points_b)
-    lines = np.stack((middle, middle + NORMAL_LENGTH * contacts.normals), axis=1)
+    middle = 0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3)
+    lines = np.stack((middle, middle + NORMAL_LENGTH * contacts.normals.reshape(-1, 3)), axis=1)
     colours = np.ones((len(middle), 4), np.float32)
     colours[:, :3] = gap_colours(contacts.gaps)
     return [

@@ -118,8 +118,8 @@ class SceneNodes:
         While a mesh is missing nothing is hidden: a body stays until its pieces arrive. Returns False in that case.
         """
         ids = [int(fragment_id) for fragment_id in states.fragment_ids]
-        xyzw = states.orientations
-        poses = np.hstack((states.positions, xyzw[:, [3, 0, 1, 2]]))
+        xyzw = states.orientations.reshape(-1, 4)
+        poses = np.hstack((states.positions.reshape(-1, 3), xyzw[:, [3, 0, 1, 2]]))
         known = [i for i, fragment_id in enumerate(ids) if fragment_id in self._fragments]
         all_there = len(known) + len(self._planes.intersection(ids)) == len(ids)
         if again:

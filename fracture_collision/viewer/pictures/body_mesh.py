@@ -44,12 +44,12 @@ def mesh_of_body(body: CollisionBody) -> BodyMesh:
         x, y, z = body.primitive.dimensions
         box = brick((x, y, z), 2.0 * max(x, y, z))
         return BodyMesh(box.vertices, boundary_triangles(box.tetrahedra))
-    triangles = body.triangles
+    triangles = body.triangles.reshape(-1, 3)
     if not len(triangles):
-        triangles = boundary_triangles(body.tetrahedra.astype(np.int64))
-    return BodyMesh(body.vertices, triangles)
+        triangles = boundary_triangles(body.tetrahedra.reshape(-1, 4).astype(np.int64))
+    return BodyMesh(body.vertices.reshape(-1, 3), triangles)
 
 
 def mesh_of_fragment(mesh: FragmentMesh) -> BodyMesh:
     """The mesh that the service published for a fragment, in the body frame."""
-    return BodyMesh(mesh.vertices, mesh.triangles, mesh.is_crack)
+    return BodyMesh(mesh.vertices.reshape(-1, 3), mesh.triangles.reshape(-1, 3), mesh.is_crack)
