@@ -22,7 +22,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from fracture_collision.records import SolidPrimitive
+from fracture_collision.records import WIDTHS, SolidPrimitive
 
 # Name and type of each field, as in the generated message classes' get_fields_and_field_types.
 Layout = tuple[tuple[str, str], ...]
@@ -88,6 +88,7 @@ class _Variable(NamedTuple):
     alignment: int
     size: int  # bytes of an element
     element: int  # numbers in an element
+    width: int  # of these in a row of the record's array; 0: it has one dimension
     has_length: bool  # in front of its elements
     fewest: int  # elements
     most: int
@@ -139,8 +140,8 @@ class Codec:
     def write(self, record: NamedTuple, heading: Heading, run_id: int) -> bytes:
         """The serialized message, little-endian.
 
-        Raises ValueError if an array has more than one dimension or a length out of its limits, struct.error if a
-        number does not fit.
+        Raises ValueError if an array has another shape than in the record or the message, or a length out of its
+        limits, struct.error if a number does not fit.
         """
         values = list(self._in_message_order((heading, run_id, *record)))
         for place, _, nested in self._nested:
@@ -154,8 +155,8 @@ class Codec:
             if variable is None:
                 parts.append(packed[end % _WIDEST].pack(*numbers))
                 break
-            name, dtype, _, alignment, size, element, has_length, fewest, most, _ = variable
-            data = values[place].encode() + b"\0" if dtype is None else flat_array(values[place], dtype)
+            name, dtype, _, alignment, size, element, width, has_length, fewest, most, _ = variable
+            data = values[place].encode() + b"\0" if dtype is None else flat_array(values[place], dtype, width)
             count = len(data) // element
             if not fewest <= count <= most:
                 raise ValueError(f"{name}: {count} entries, not {fewest} to {most}")
@@ -190,12 +191,12 @@ class Codec:
             values += side_by_side.unpack_from(body, begin)
             if step.variable is None:
                 break
-            name, dtype, native, alignment, size, element, has_length, _, most, is_plain = step.variable
+            name, dtype, native, alignment, size, element, width, has_length, _, most, is_plain = step.variable
             count = values.pop() if has_length else most
             if count > most:
                 raise self._error(f"{name}: {count} entries, more than {most}")
             if not count:
-                values.append("" if dtype is None else np.empty(0, native))
+                values.append("" if dtype is None else in_rows(np.empty(0, native), width))
                 continue
             begin = end + -end % alignment
             end = begin + count * size
@@ -210,7 +211,7 @@ class Codec:
                 if dtype.kind == "b" and array.view(np.uint8).max() > 1:
                     raise self._error(f"{name}: neither true nor false")
                 array = array.astype(native)
-            values.append(array)
+            values.append(in_rows(array, width))
         for place, name in self._booleans:
             if values[place] > 1:
                 raise self._error(f"{name}: neither true nor false")
@@ -235,12 +236,19 @@ def offset_of_run_id(data: bytes) -> int:
     return at + -(at - begin) % 8
 
 
-def flat_array(value: Any, dtype: Any) -> np.ndarray:
-    """`value` as a contiguous array of `dtype`; ValueError if it has more than one dimension."""
-    flat = np.ascontiguousarray(value, dtype=dtype)
-    if flat.ndim != 1:
-        raise ValueError(f"an array of shape {flat.shape}; pass a flat one, as in the message")
-    return flat
+def flat_array(value: Any, dtype: Any, width: int = 0) -> np.ndarray:
+    """`value`, flat or in rows of `width` numbers, as a flat array of `dtype`; ValueError if it has another shape."""
+    array = np.ascontiguousarray(value, dtype=dtype)
+    if array.ndim == 1:
+        return array
+    if array.shape[1:] != (width,):
+        raise ValueError(f"an array of shape {array.shape}; pass {f'(n, {width})' if width else 'a flat one'}")
+    return array.reshape(-1)
+
+
+def in_rows(flat: np.ndarray, width: int) -> np.ndarray:
+    """A flat array as a record has it; left flat if its numbers are not whole rows, which the gates reject."""
+    return flat.reshape(-1, width) if width and len(flat) % width == 0 else flat
 
 
 def _leaves(name: str, kind: str, nested: Callable[[str], Layout]) -> Iterator[tuple[str, str]]:
@@ -274,7 +282,7 @@ def _steps(leaves: list[tuple[str, str]], order: ByteOrder) -> Iterator[_Step]:
 
 def _variable(name: str, kind: str, order: ByteOrder) -> _Variable:
     if kind == "string":
-        return _Variable(name, None, None, 1, 1, 1, True, 0, _UNLIMITED, True)
+        return _Variable(name, None, None, 1, 1, 1, 0, True, 0, _UNLIMITED, True)
     sequence, array = SEQUENCE.fullmatch(kind), ARRAY.fullmatch(kind)
     match = sequence or array
     assert match is not None  # _leaves yields nothing else
@@ -283,7 +291,8 @@ def _variable(name: str, kind: str, order: ByteOrder) -> _Variable:
     dtype, size = native.newbyteorder(order), native.itemsize
     fewest, most = (0, int(match[2] or _UNLIMITED)) if sequence else (int(match[2]),) * 2
     is_plain = dtype.isnative and dtype.kind != "b"
-    return _Variable(name, dtype, native, size, element * size, element, array is None, fewest, most, is_plain)
+    width = WIDTHS.get(name, 0) if sequence else 0
+    return _Variable(name, dtype, native, size, element * size, element, width, array is None, fewest, most, is_plain)
 
 
 def _packed(codes: str, order: ByteOrder) -> tuple[Struct, ...]:

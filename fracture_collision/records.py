@@ -1,7 +1,8 @@
 """The messages of msg/*.msg as plain numpy records: what all folders exchange, with or without ROS.
 
-Fields are named and shaped as in the messages (flat arrays, SI units, frames and signs as written there), less
-`header` and `run_id`. Nothing is validated here: `world/gates` does that. `documented` serves other records, too.
+Fields are named as in the messages (SI units, frames and signs as written there), less `header` and `run_id`. Arrays of
+vectors have a row each, see WIDTHS; in the messages they are flat. Nothing is validated here: `world/gates` does that.
+`documented` serves other records, too.
 """
 
 from __future__ import annotations
@@ -16,6 +17,13 @@ ADD = 0
 REMOVE = 1
 BUDGET_EXHAUSTED = 1
 INVALID_STATES = 2
+
+# Numbers in a row of the fields that are arrays of vectors.
+WIDTHS = {
+    "vertices": 3, "triangles": 3, "tetrahedra": 4, "cut_edges": 2, "cut_planes": 4, "positions": 3, "orientations": 4,
+    "linear_velocities": 3, "angular_velocities": 3, "points_a": 3, "points_b": 3, "normals": 3, "centers_of_mass": 3,
+    "inertias": 6,
+}  # fmt: skip
 
 _Record = TypeVar("_Record")
 _ENTRY = re.compile(r" *(\w+): (.*)")
@@ -48,12 +56,12 @@ def documented(record: type[_Record]) -> type[_Record]:
     return record
 
 
-def _floats(n: int = 0) -> np.ndarray:
-    return _read_only(np.zeros(n, dtype=np.float64))
+def _floats(*shape: int) -> np.ndarray:
+    return _read_only(np.zeros(shape, dtype=np.float64))
 
 
-def _indices() -> np.ndarray:
-    return _read_only(np.zeros(0, dtype=np.uint32))
+def _indices(*shape: int) -> np.ndarray:
+    return _read_only(np.zeros(shape, dtype=np.uint32))
 
 
 def _read_only(default: np.ndarray) -> np.ndarray:
@@ -83,8 +91,8 @@ SPHERE = 2
 class CollisionBody(NamedTuple):
     """One body before any fracture (CollisionBody.msg).
 
-    A body has exactly one shape: a primitive, a plane, tetrahedra, or triangles alone. Arrays may be lists, and of any
-    numeric type; integers where indices are asked for.
+    A body has exactly one shape: a primitive, a plane, tetrahedra, or triangles alone. Arrays may be lists, or flat,
+    and of any numeric type; integers where indices are asked for.
 
     Fields:
       body_id: uint32, unique in a run
@@ -95,10 +103,10 @@ class CollisionBody(NamedTuple):
       primitive: a box or sphere; type 0: none
       plane: (4,) float64 a, b, c, d: the half-space a x + b y + c z + d < 0 [m] is solid; all 0: none. The body must be
         static
-      vertices: (3n,) or (n, 3) float64 [m], body frame; each is used by a tetrahedron or triangle
-      triangles: (3t,) or (t, 3) uint32, indices of vertices from 0; closed, counter-clockwise seen from outside. Beside
+      vertices: (n, 3) float64 [m], body frame; each is used by a tetrahedron or triangle
+      triangles: (t, 3) uint32, indices of vertices from 0; closed, counter-clockwise seen from outside. Beside
         tetrahedra leave them empty, or pass their boundary
-      tetrahedra: (4m,) or (m, 4) uint32, indices of vertices from 0; positive volume: seen from the fourth, the first
+      tetrahedra: (m, 4) uint32, indices of vertices from 0; positive volume: seen from the fourth, the first
         three run counter-clockwise. Empty: rigid, cannot break
       is_static: it does not move; states may leave it out, its body frame is then the world
       density: [kg/m3], above 0
@@ -113,9 +121,9 @@ class CollisionBody(NamedTuple):
     name: str = ""
     primitive: SolidPrimitive = SolidPrimitive()
     plane: np.ndarray = _floats(4)
-    vertices: np.ndarray = _floats()
-    triangles: np.ndarray = _indices()
-    tetrahedra: np.ndarray = _indices()
+    vertices: np.ndarray = _floats(0, 3)
+    triangles: np.ndarray = _indices(0, 3)
+    tetrahedra: np.ndarray = _indices(0, 4)
     is_static: bool = False
     density: float = 1000.0
     friction: float = 0.5
@@ -137,8 +145,8 @@ class FractureEvent(NamedTuple):
       nodes: (n,) uint32, every vertex of the tetrahedral mesh that the breaking fragment owns, once
       node_fragments: (n,) uint32, for each of nodes an index into new_fragment_ids; the nodes of each new fragment are
         connected by mesh edges between them
-      cut_edges: (2c,) or (c, 2) uint32, the two nodes of every mesh edge that joins two of the new fragments
-      cut_planes: (4c,) or (c, 4) float64, the plane that cuts each of them: unit normal, from the first node to the
+      cut_edges: (c, 2) uint32, the two nodes of every mesh edge that joins two of the new fragments
+      cut_planes: (c, 4) float64, the plane that cuts each of them: unit normal, from the first node to the
         second, and offset [m] with normal . x = offset; it crosses its edge
     """
 
@@ -160,10 +168,10 @@ class FragmentStates(NamedTuple):
       step: uint64, strictly increasing within a run; a replay may go back
       fracture_sequence: uint64, how many fracture events have happened
       fragment_ids: (n,) uint32, each once: the living fragments that take part; static ones may be left out
-      positions: (3n,) or (n, 3) float64 [m], of the origin of each body frame (not the centre of mass), in the world
-      orientations: (4n,) or (n, 4) float64, unit quaternions x y z w, from the body frame to the world
-      linear_velocities: (3n,) or (n, 3) float64 [m/s] of that origin, world axes; empty: zero. Used by lookahead alone
-      angular_velocities: (3n,) or (n, 3) float64 [rad/s], world axes; empty: zero. Used by lookahead alone
+      positions: (n, 3) float64 [m], of the origin of each body frame (not the centre of mass), in the world
+      orientations: (n, 4) float64, unit quaternions x y z w, from the body frame to the world
+      linear_velocities: (n, 3) float64 [m/s] of that origin, world axes; empty: zero. Used by lookahead alone
+      angular_velocities: (n, 3) float64 [rad/s], world axes; empty: zero. Used by lookahead alone
       body_sequence: uint64, how many bodies were added or removed before these states: the static ones among them take
         part; 0: unknown, all static bodies that have arrived take part
     """
@@ -173,8 +181,8 @@ class FragmentStates(NamedTuple):
     fragment_ids: np.ndarray
     positions: np.ndarray
     orientations: np.ndarray
-    linear_velocities: np.ndarray = _floats()
-    angular_velocities: np.ndarray = _floats()
+    linear_velocities: np.ndarray = _floats(0, 3)
+    angular_velocities: np.ndarray = _floats(0, 3)
     body_sequence: int = 0
 
 
@@ -196,9 +204,9 @@ class ContactConstraintArray(NamedTuple):
         and the deepest contact; with `method: glondu2014`, no surface sample
       friction: (p,) float64, geometric mean of the two coefficients
       restitution: (p,) float64, the larger of the two
-      points_a: (3N,) float64 [m], world: witness point on a
-      points_b: (3N,) float64 [m], world: witness point on b
-      normals: (3N,) float64, unit, world axes, from a to b: an impulse along it pushes b, its opposite a
+      points_a: (N, 3) float64 [m], world: witness point on a
+      points_b: (N, 3) float64 [m], world: witness point on b
+      normals: (N, 3) float64, unit, world axes, from a to b: an impulse along it pushes b, its opposite a
       gaps: (N,) float64 [m], normal . (point_b - point_a); negative: penetration; with lookahead also large ones,
         touches to come
       contact_ids: (N,) uint64, the same number in every step for the same sample of the same fragment against the same
@@ -238,11 +246,11 @@ ContactConstraintArray._make = staticmethod(_made_of_fields)  # type: ignore[met
 
 def refusal_of(states: FragmentStates, lookahead: float) -> ContactConstraintArray:
     """The answer to invalid states: no contacts, and the status INVALID_STATES. `lookahead` [s]: the service's."""
-    floats, ids = np.zeros(0), np.zeros(0, np.uint32)
+    floats, places, ids = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.uint32)
     return ContactConstraintArray(
         step=states.step, fracture_sequence=states.fracture_sequence, status=INVALID_STATES,
         fragment_a=ids, fragment_b=ids, pair_begin=np.zeros(1, np.uint32), missed_depth_bound=floats,
-        friction=floats, restitution=floats, points_a=floats, points_b=floats, normals=floats, gaps=floats,
+        friction=floats, restitution=floats, points_a=places, points_b=places, normals=places, gaps=floats,
         contact_ids=np.zeros(0, dtype=np.uint64), lookahead=lookahead,
     )  # fmt: skip
 
@@ -257,8 +265,8 @@ class FragmentRegistry(NamedTuple):
       body_ids: (n,) uint32, the body that each belongs to
       parent_ids: (n,) uint32, the fragment it broke from; itself if none
       masses: (n,) float64 [kg]; 0 for planes
-      centers_of_mass: (3n,) float64 [m], body frame
-      inertias: (6n,) float64 [kg m2], about the centre of mass, body axes: xx xy xz yy yz zz
+      centers_of_mass: (n, 3) float64 [m], body frame
+      inertias: (n, 6) float64 [kg m2], about the centre of mass, body axes: xx xy xz yy yz zz
       sampling_gaps: (n,) float64 [m], no point of the fragment's surface is farther than this from a sample
       digest: SHA-256, hex, chained over the bodies and events the registry was built from
       settings: the service's settings that contacts depend on, one line of JSON, an object with the fields of Settings
@@ -283,8 +291,8 @@ class FragmentMesh(NamedTuple):
 
     Fields:
       fragment_id: uint32
-      vertices: (3n,) float32 [m], body frame
-      triangles: (3t,) uint32, counter-clockwise from outside
+      vertices: (n, 3) float32 [m], body frame
+      triangles: (t, 3) uint32, counter-clockwise from outside
       is_crack: (t,) bool, whether each triangle lies on a crack
     """
 

@@ -175,16 +175,16 @@ class SceneRun:
         self.film.states.append(
             RecordedStates(
                 states.step * self.scene.time_step, states.step, states.fracture_sequence,
-                states.fragment_ids.astype(np.int64), states.positions.reshape(-1, 3),
-                states.orientations.reshape(-1, 4),
+                states.fragment_ids.astype(np.int64), states.positions,
+                states.orientations,
             )
         )  # fmt: skip
 
     def _triangles(self, fragment_id: int) -> int:
         if fragment_id in self.film.meshes:
-            return len(self.film.meshes[fragment_id].triangles) // 3
+            return len(self.film.meshes[fragment_id].triangles)
         tetrahedra = self.film.bodies[self.film.body_of[fragment_id]].tetrahedra
-        return len(boundary_triangles(tetrahedra.reshape(-1, 4)))
+        return len(boundary_triangles(tetrahedra))
 
 
 def object_sizes(scene: Scene) -> list[dict[str, Any]]:

@@ -66,8 +66,8 @@ def solids_of(scene: Scene) -> dict[str, Solid]:
         if body.is_static:
             continue
         row = rows[number]
-        xx, xy, xz, yy, yz, zz = registry.inertias[6 * row : 6 * row + 6]
-        arm = registry.centers_of_mass[3 * row : 3 * row + 3]
+        xx, xy, xz, yy, yz, zz = registry.inertias[row]
+        arm = registry.centers_of_mass[row]
         turned = rotation_matrices(body.orientation[None])[0] @ arm
         solids[body.name] = Solid(
             body, float(registry.masses[row]), arm, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),

@@ -121,7 +121,7 @@ def clustered_seeds(vertices: np.ndarray, inner: float, count: int, seed: int = 
 def break_body(name: str, geometry: TetGeometry, seeds: np.ndarray, curved: bool, mesher: str) -> World:
     """Breaks a body into the cells of `seeds` (k, 3) [m] and places the pieces."""
     vertices, tetrahedra = geometry
-    body = CollisionBody(BODY_ID, WHOLE, vertices=vertices.ravel(), tetrahedra=tetrahedra.ravel(), density=DENSITY)
+    body = CollisionBody(BODY_ID, WHOLE, vertices=vertices, tetrahedra=tetrahedra, density=DENSITY)
     oracle = FragmentedBody(vertices, tetrahedra, WHOLE)
     if curved:
         event = curved_event(oracle, WHOLE, seeds, WHOLE + 1, amplitude=AMPLITUDE)

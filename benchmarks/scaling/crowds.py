@@ -57,7 +57,7 @@ def body(kind: str, number: int) -> CollisionBody:
     if kind == "triangles":
         used, triangles = np.unique(boundary_triangles(COARSE.tetrahedra), return_inverse=True)
         return plain._replace(vertices=COARSE.vertices[used].ravel(), triangles=triangles.ravel())
-    return plain._replace(vertices=COARSE.vertices.ravel(), tetrahedra=COARSE.tetrahedra.ravel())
+    return plain._replace(vertices=COARSE.vertices, tetrahedra=COARSE.tetrahedra)
 
 
 def crowd(kind: str, count: int, spread: float, **settings) -> tuple[CollisionWorld, FragmentStates]:

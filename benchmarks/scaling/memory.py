@@ -113,7 +113,7 @@ def _copies(body: str) -> _Bodies:
     bodies, events = [], []
     for k in range(MORE + 1):
         first = 1 + k * (1 + len(event.new_fragment_ids))
-        bodies.append(CollisionBody(k + 1, first, vertices=vertices.ravel(), tetrahedra=tetrahedra.ravel()))
+        bodies.append(CollisionBody(k + 1, first, vertices=vertices, tetrahedra=tetrahedra))
         ids = event.new_fragment_ids - 1 + first
         events.append(event._replace(sequence=k + 1, body_id=k + 1, fragment_id=first, new_fragment_ids=ids))
     return _Bodies(bodies, events)
@@ -177,7 +177,7 @@ def _main(body: str, threads: int, how: str) -> None:
         "first_more_broken": first_more_broken - more, "more_broken": more_broken - more,
     }  # fmt: skip
     sizes = {
-        "nodes": len(its.bodies[0].vertices) // 3, "tetrahedra": len(its.bodies[0].tetrahedra) // 4,
+        "nodes": len(its.bodies[0].vertices), "tetrahedra": len(its.bodies[0].tetrahedra),
         "pieces": len(its.events[0].new_fragment_ids),
     }  # fmt: skip
     print(json.dumps(sizes | {name: value / MEGABYTE for name, value in megabytes.items()}))

@@ -70,7 +70,7 @@ def measure_removal(events: int = 1000, cell: float = CELL, progress: Progress =
     """Balls are added next to a body that broke `events` times, and removed one by one."""
     body = brick((SIDE, SIDE, SIDE), cell)
     settings = Settings(threads=1)
-    whole = CollisionBody(1, 1, vertices=body.vertices.ravel(), tetrahedra=body.tetrahedra.ravel())
+    whole = CollisionBody(1, 1, vertices=body.vertices, tetrahedra=body.tetrahedra)
     first_ball = 2 * events + 10
     ball = SolidPrimitive(SPHERE, (0.1,))
     balls = [CollisionBody(n, n, primitive=ball) for n in range(first_ball, first_ball + BALLS)]

@@ -54,7 +54,7 @@ def measure_small_updates(
     world = CollisionWorld(Settings(threads=1))
     world.add_body(
         CollisionBody(
-            1, 1, vertices=geometry.vertices.ravel(), tetrahedra=geometry.tetrahedra.ravel(), density=DENSITY
+            1, 1, vertices=geometry.vertices, tetrahedra=geometry.tetrahedra, density=DENSITY
         )
     )
     breaks = _breaks(geometry, pieces)

@@ -51,7 +51,7 @@ def measure_update_of_one(
         check, update, masses = (1e3 * np.median(its, axis=0)).tolist()
         rows.append(
             UpdateRow(
-                count, len(source.body.vertices) // 3, len(source.fragments), broken, check, update, masses,
+                count, len(source.body.vertices), len(source.fragments), broken, check, update, masses,
                 1e3 * float(np.median(its.sum(axis=1))),
                 float(np.median(its.sum(axis=1) / alone.sum(axis=1))),
                 float(np.median(its[:, :2].sum(axis=1) / alone[:, :2].sum(axis=1))),

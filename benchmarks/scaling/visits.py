@@ -97,7 +97,7 @@ def measure_visits(
         service.add_fracture(world.event)
         service.contacts(empty_states(1))
         trees = measure_machine(TREE_ENTRY * sum(len(f.samples) + len(f.nodes) for f in world.fragments))
-        mesh = measure_machine(TETRAHEDRON * len(world.body.tetrahedra) // 4)
+        mesh = measure_machine(TETRAHEDRON * len(world.body.tetrahedra))
         floors = [floor_of(work, trees if work is CULLED else mesh) for work in KINDS_OF_VISIT]
         for kind in KINDS:
             rows.append(_measure(world, service, kind, repeats, floors))

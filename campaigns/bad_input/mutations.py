@@ -80,7 +80,7 @@ class Rules(NamedTuple):
 
 
 def _array(record: Any, field: str) -> np.ndarray:
-    return np.array(getattr(record, field))
+    return np.array(getattr(record, field)).ravel()
 
 
 def _with(record: Any, field: str, change: Callable[[np.ndarray], Any]) -> Any:

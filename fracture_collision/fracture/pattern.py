@@ -230,8 +230,8 @@ def event_of(pattern: Pattern, nodes: np.ndarray, naming: Naming) -> FractureEve
         new_fragment_ids=(naming.first_new_id + np.arange(pattern.piece_count)).astype(np.uint32),
         nodes=nodes.astype(np.uint32),
         node_fragments=pattern.pieces.astype(np.uint32),
-        cut_edges=nodes[pattern.cut_edges].astype(np.uint32).ravel(),
-        cut_planes=np.ascontiguousarray(pattern.cut_planes).ravel(),
+        cut_edges=nodes[pattern.cut_edges].astype(np.uint32),
+        cut_planes=np.ascontiguousarray(pattern.cut_planes),
     )
 
 

@@ -114,10 +114,10 @@ class Cast:
                 sequence = registry.fracture_sequence
                 raise ValueError(f"registry of fracture_sequence {sequence}: fragment {fragment_id} is missing")
             row = rows[fragment_id]
-            xx, xy, xz, yy, yz, zz = registry.inertias[6 * row : 6 * row + 6].tolist()
+            xx, xy, xz, yy, yz, zz = registry.inertias[row].tolist()
             properties = MassProperties(
                 mass=float(registry.masses[row]),
-                center_of_mass=registry.centers_of_mass[3 * row : 3 * row + 3],
+                center_of_mass=registry.centers_of_mass[row],
                 inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
             )
             engine.add(fragment_id, properties, self.waiting[fragment_id])

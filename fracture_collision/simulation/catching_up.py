@@ -80,14 +80,14 @@ def carried_contacts(waited: Waited, after: BodyStates, settings: SolverSettings
     points = []
     for body, known in ((pairs.body_a, contacts.points_a), (pairs.body_b, contacts.points_b)):
         own = np.repeat(body, counts)
-        points.append(place[own] + turned(rotations[own], known.reshape(-1, 3) - was[own]))
-    gaps, sizes = dots(contacts.normals.reshape(-1, 3), points[1] - points[0]), np.repeat(pairs.sizes, counts)
+        points.append(place[own] + turned(rotations[own], known - was[own]))
+    gaps, sizes = dots(contacts.normals, points[1] - points[0]), np.repeat(pairs.sizes, counts)
     # Rows of what cannot move are the last; a fragment that broke has the same row, but has no contacts any more.
     stays = np.append(rows[:-1] < none, True)
     kept = (gaps <= settings.ahead_gap * sizes) & np.repeat(stays[pairs.body_a] & stays[pairs.body_b], counts)
     tolerance = settings.memory_reach * sizes
     gaps = gaps + np.where(gaps > tolerance, CLOSER * tolerance, 0.0)
-    moved = contacts._replace(points_a=points[0].ravel(), points_b=points[1].ravel(), gaps=gaps)
+    moved = contacts._replace(points_a=points[0], points_b=points[1], gaps=gaps)
     moved = chosen_contacts(moved, kept, np.ones(len(counts), bool))
     return moved, pairs._replace(
         body_a=rows[pairs.body_a], body_b=rows[pairs.body_b], rest_gaps=pairs.rest_gaps[kept]

@@ -49,7 +49,7 @@ def fragment_states(
         np.concatenate((values, np.array([frame[k] for frame in others.values()]).reshape(-1, values.shape[1])))
         for k, values in enumerate(in_engine)
     ]
-    positions, orientations, linear, angular = (column[order].ravel() for column in columns)
+    positions, orientations, linear, angular = (column[order] for column in columns)
     return FragmentStates(step, sequence, ids[order], positions, orientations, linear, angular)
 
 

@@ -41,7 +41,7 @@ def fragment_mesh(fragment_id: int, geometry: CollisionGeometry, row: int) -> Fr
         tolerance = THIN * float(np.ptp(vertices, axis=0).max())
         vertices, triangles, is_crack = without_thin_triangles(vertices, triangles, is_crack, tolerance)
         _move_apart(vertices, triangles, 4.0 * tolerance)
-        return FragmentMesh(fragment_id, vertices.ravel(), triangles.astype(np.uint32).ravel(), is_crack)
+        return FragmentMesh(fragment_id, vertices, triangles.astype(np.uint32), is_crack)
     return _record(fragment_id, corners, np.zeros(len(corners), np.bool_))
 
 
@@ -73,4 +73,6 @@ def _plane_square(shape: np.ndarray) -> np.ndarray:
 def _record(fragment_id: int, corners: np.ndarray, is_crack: np.ndarray) -> FragmentMesh:
     points = corners.reshape(-1, 3).astype(np.float32)
     chosen, index = unique_rows(points)
-    return FragmentMesh(fragment_id, points[chosen].ravel(), index.astype(np.uint32), is_crack.astype(np.bool_))
+    return FragmentMesh(
+        fragment_id, points[chosen], index.astype(np.uint32).reshape(-1, 3), is_crack.astype(np.bool_)
+    )

@@ -94,7 +94,7 @@ def compile_inspection_kernels() -> None:
 
 
 def _tetrahedral_body(number: int, geometry: TetGeometry) -> CollisionBody:
-    return CollisionBody(number, number, vertices=geometry.vertices.ravel(), tetrahedra=geometry.tetrahedra.ravel())
+    return CollisionBody(number, number, vertices=geometry.vertices, tetrahedra=geometry.tetrahedra)
 
 
 def _wedge(body_id: int, fragment_id: int) -> CollisionBody:
@@ -107,7 +107,7 @@ def _wedge(body_id: int, fragment_id: int) -> CollisionBody:
 def _states(step: int, sequence: int, ids: np.ndarray) -> FragmentStates:
     count = len(ids)
     positions = np.column_stack([np.linspace(0.0, 0.1, count), np.zeros(count), np.full(count, 0.2)])
-    return FragmentStates(step, sequence, ids, positions.ravel(), np.tile([0.0, 0.0, 0.0, 1.0], count))
+    return FragmentStates(step, sequence, ids, positions, np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)))
 
 
 def _flat_crack(
@@ -128,5 +128,5 @@ def _flat_crack(
     planes[:, axis], planes[:, 3] = towards, towards * offset
     nodes = np.flatnonzero(own)
     return FractureEvent(
-        sequence, 1, fragment_id, np.array(new_ids), nodes, side[nodes].astype(np.int64), edges.ravel(), planes.ravel()
+        sequence, 1, fragment_id, np.array(new_ids), nodes, side[nodes].astype(np.int64), edges, planes
     )

@@ -183,16 +183,20 @@ def test_big_endian_messages_are_read() -> None:
     received = deserialize_record(data, message_class_of(states(0)))
     assert received.heading == Heading(3, 5, "map") and received.run_id == 41
     assert received.record.body_sequence == 6 and received.record.fragment_ids.tolist() == [0xDEADBEEF]
-    assert received.record.positions.tolist() == [1.0, 2.0, 3.0]
-    assert received.record.orientations.tolist() == [0.0, 0.0, 0.0, 1.0]
+    assert received.record.positions.tolist() == [[1.0, 2.0, 3.0]]
+    assert received.record.orientations.tolist() == [[0.0, 0.0, 0.0, 1.0]]
     for wrong in (data[:-6], b"\x07\x07" + data[2:], b"\x00\x07" + data[2:], b""):
         with pytest.raises(ValueError, match="no serialized FragmentStates"):
             deserialize_record(wrong, message_class_of(states(0)))
 
 
 def test_numbers_that_do_not_fit_and_arrays_of_the_wrong_shape_are_errors() -> None:
-    with pytest.raises(ValueError, match="flat"):
-        serialize_record(states(3)._replace(positions=np.zeros((3, 3))), HEADINGS[0], 1)
+    for field, shape in (("positions", (3, 4)), ("fragment_ids", (3, 1))):
+        with pytest.raises(ValueError, match="an array of shape"):
+            serialize_record(states(3)._replace(**{field: np.zeros(shape)}), HEADINGS[0], 1)
+    in_rows = states(3)
+    flat = in_rows._replace(positions=in_rows.positions.ravel())
+    assert serialize_record(flat, HEADINGS[0], 1) == serialize_record(in_rows, HEADINGS[0], 1)
     body = EXAMPLES[0]
     for wrong, words in (
         (body._replace(plane=np.zeros(3)), "coef: 3 entries, not 4 to 4"),

@@ -26,8 +26,8 @@ def contacts_of(normals: np.ndarray, rng: np.random.Generator) -> ContactConstra
     points_b = points_a + 0.01 * normals
     return ContactConstraintArray(
         step=1, fracture_sequence=0, status=0, fragment_a=ids, fragment_b=ids + 1, pair_begin=begin,
-        missed_depth_bound=np.zeros(1), friction=np.zeros(1), restitution=np.zeros(1), points_a=points_a.ravel(),
-        points_b=points_b.ravel(), normals=normals.ravel(), gaps=np.full(count, 0.01),
+        missed_depth_bound=np.zeros(1), friction=np.zeros(1), restitution=np.zeros(1), points_a=points_a,
+        points_b=points_b, normals=normals, gaps=np.full(count, 0.01),
         contact_ids=np.arange(count, dtype=np.uint64),
     )  # fmt: skip
 

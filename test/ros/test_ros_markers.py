@@ -148,7 +148,7 @@ def test_only_changed_markers_are_published_again() -> None:
     # markers are deleted after a rewind to before the fracture, and after a body is removed
     world.add_fracture(FIRST)
     broken = STATES._replace(step=4, fracture_sequence=1, fragment_ids=np.array([10, 11]),
-                             positions=np.tile([0.0, 0.0, 0.24], 2), orientations=np.tile([0.0, 0, 0, 1.0], 2))
+                             positions=np.tile([0.0, 0.0, 0.24], (2, 1)), orientations=np.tile([0.0, 0, 0, 1.0], (2, 1)))
     assert {("fragments", 10), ("fragments", 11)} < set(by_name(shown(world, markers, broken, complete=False)))
     back = by_name(shown(world, markers, whole(5), complete=False))
     assert back["fragments", 10].action == Marker.DELETE and back["fragments", 1].action == Marker.ADD
@@ -176,7 +176,7 @@ def test_fragment_ids_above_the_signed_range_become_negative() -> None:
     highest = 2**32 - 1
     markers.add_body(BAR._replace(fragment_id=highest))
     markers.set_registry(np.array([highest]), np.array([1]))
-    mesh = FragmentMesh(highest, np.eye(3, dtype=np.float32).ravel(), np.arange(3, dtype=np.uint32), np.zeros(1, bool))
+    mesh = FragmentMesh(highest, np.eye(3, dtype=np.float32), np.arange(3, dtype=np.uint32)[None], np.zeros(1, bool))
     markers.add_surface(mesh)
     states = whole()._replace(fragment_ids=np.array([highest]))
     nothing = refusal_of(states, 0.0)

@@ -56,8 +56,8 @@ def breaking_scene(plates=1):
 def touching(states, pairs):
     """One contact for each (a, b, point, normal), without a gap."""
     count = len(pairs)
-    points = np.concatenate([np.zeros(0), *(point for _, _, point, _ in pairs)])
-    normals = np.concatenate([np.zeros(0), *(normal for *_, normal in pairs)])
+    points = np.array([point for _, _, point, _ in pairs]).reshape(-1, 3)
+    normals = np.array([normal for *_, normal in pairs]).reshape(-1, 3)
     return ContactConstraintArray(
         states.step, states.fracture_sequence, 0,
         np.array([a for a, *_ in pairs], np.uint32), np.array([b for _, b, *_ in pairs], np.uint32),

@@ -149,7 +149,7 @@ def states_of(frames):
     ids = sorted(frames)
     return FragmentStates(
         0, 0, np.array(ids, np.uint32),
-        np.concatenate([frames[i][0] for i in ids]), np.concatenate([frames[i][1].as_quat() for i in ids]),
+        np.array([frames[i][0] for i in ids]), np.array([frames[i][1].as_quat() for i in ids]),
     )  # fmt: skip
 
 
@@ -160,7 +160,7 @@ def contacts_of(*pairs):
     return ContactConstraintArray(
         0, 0, 0, np.array([a for a, _, _ in pairs], np.uint32), np.array([b for _, b, _ in pairs], np.uint32),
         np.cumsum([0] + [len(found) for _, _, found in pairs]).astype(np.uint32),
-        *[np.zeros(len(pairs))] * 3, point_a.ravel(), point_b.ravel(), normal.ravel(),
+        *[np.zeros(len(pairs))] * 3, point_a, point_b, normal,
         np.einsum("ck,ck->c", point_b - point_a, normal), np.array([c[0] for c in flat], np.uint64),
     )  # fmt: skip
 

@@ -68,7 +68,7 @@ def _definition(kind: str, lacking: frozenset[str]) -> str:
 
 
 def _fields(record: Any) -> dict[str, Any]:
-    fields = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in record._asdict().items()}
+    fields = {k: v.ravel().tolist() if isinstance(v, np.ndarray) else v for k, v in record._asdict().items()}
     if "plane" in fields:
         fields["plane"] = {"coef": fields["plane"]}
         fields["primitive"] = {

@@ -62,7 +62,7 @@ class Player:
     def place(self, fragment_id: int) -> np.ndarray:
         """Position [m] of its body frame."""
         row = list(self.states[-1].fragment_ids).index(fragment_id)
-        return np.array(self.states[-1].positions[3 * row : 3 * row + 3])
+        return np.array(self.states[-1].positions[row])
 
     def newest_ids(self) -> set[int]:
         return set(self.states[-1].fragment_ids)

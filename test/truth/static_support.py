@@ -142,7 +142,7 @@ def _trembling(states):
     for _ in range(TREMBLES):
         away = random.normal(size=(len(states.fragment_ids), 3))
         away *= TREMBLE / np.linalg.norm(away, axis=1, keepdims=True)
-        yield states._replace(positions=states.positions + away.ravel())
+        yield states._replace(positions=states.positions + away)
 
 
 def _standing_boxes(simulation, registry):
@@ -171,10 +171,9 @@ def _without_hooks(contacts, boxes):
             np.put_along_axis(behind, face, np.inf, axis=1)
             of_face = np.take_along_axis(normal, face, axis=1)[:, 0] > 1.0 - ON_FACE
             kept[mine[of_face & (behind.min(axis=1) < HOOK)]] = False
-    three = np.repeat(kept, 3)
     return contacts._replace(
         pair_begin=np.concatenate(([0], np.cumsum(kept)))[begin], contact_ids=contacts.contact_ids[kept],
-        points_a=contacts.points_a[three], points_b=contacts.points_b[three], normals=contacts.normals[three],
+        points_a=contacts.points_a[kept], points_b=contacts.points_b[kept], normals=contacts.normals[kept],
         gaps=contacts.gaps[kept],
     )  # fmt: skip
 

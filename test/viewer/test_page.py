@@ -186,7 +186,7 @@ def test_a_floor_is_not_drawn_as_a_fragment() -> None:
         for body in records_of(CollisionBody):
             page.add_body(body)
         page.add_fragment(meshes[0]._replace(fragment_id=1), 1)  # services publish meshes of floors too
-        floor = {"fragment_ids": [1], "positions": [0.0, 0.0, 0.0], "orientations": [0.0, 0.0, 0.0, 1.0]}
+        floor = {"fragment_ids": [1], "positions": [[0.0, 0.0, 0.0]], "orientations": [[0.0, 0.0, 0.0, 1.0]]}
         for fewer in (0, 1):  # in the second pass the last body is gone
             count = len(states.fragment_ids) - fewer
             named = {
@@ -233,7 +233,7 @@ def test_a_test_client_gets_the_meshes_and_poses_of_a_browser() -> None:
             places, counted = states.positions.reshape(-1, 3), []
             for step in range(1, PICTURES + 1):
                 before = page.pictures
-                page.show_states(states._replace(positions=(places + [0.0, 0.0, 0.01 * step]).ravel()))
+                page.show_states(states._replace(positions=places + [0.0, 0.0, 0.01 * step]))
                 until(lambda before=before: page.pictures, lambda count, before=before: count > before)
             # a newer pose may replace one that has not been sent
             until(lambda: counted.append(seen.pictures()) or sum(each.count for each in counted), bool)

@@ -103,7 +103,7 @@ def contacts_at(points: np.ndarray) -> ContactConstraintArray:
     return empty._replace(
         status=0, fragment_a=np.array([3]), fragment_b=np.array([4]), pair_begin=np.array([0, count]),
         missed_depth_bound=np.array([0.0012]), friction=np.zeros(1), restitution=np.zeros(1),
-        points_a=points.ravel(), points_b=points.ravel(), normals=np.tile([0.0, 0.0, 1.0], count),
+        points_a=points, points_b=points, normals=np.tile([0.0, 0.0, 1.0], (count, 1)),
         gaps=np.full(count, -1e-3), contact_ids=np.arange(count, dtype=np.uint64),
     )  # fmt: skip
 

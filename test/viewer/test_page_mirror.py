@@ -132,7 +132,7 @@ def test_lookahead_contacts_do_not_count_as_colliding(stage: Stage) -> None:
     settings = SETTINGS._replace(lookahead=0.1)
     states = stage.states(5)
     places = np.reshape(states.positions, (-1, 3))
-    states = states._replace(linear_velocities=(3.0 * (places.mean(axis=0) - places)).ravel())
+    states = states._replace(linear_velocities=3.0 * (places.mean(axis=0) - places))
     answer = with_settings(stage.case, settings).contacts(states)
     touching = with_settings(stage.case, SETTINGS).contacts(states)
     assert len(answer.gaps) > len(touching.gaps)

@@ -86,7 +86,7 @@ def test_a_run_is_read_as_it_was_written(bag: Path) -> None:
     assert run.states[59].time == pytest.approx(1.18)
     expected = [r for _, r in small_run() if isinstance(r, FragmentStates)]
     for got, sent in zip(run.states, expected, strict=True):
-        assert np.array_equal(got.positions.ravel(), sent.positions)
+        assert np.array_equal(got.positions, sent.positions)
         assert np.array_equal(got.fragment_ids, sent.fragment_ids)
 
 

@@ -27,13 +27,13 @@ def fragment_mesh(body: FragmentedBody, fragment_id: int) -> FragmentMesh:
     ]
     vertices = np.array([corner for triangle, _ in fans for corner in triangle], dtype=np.float32)
     is_crack = np.array([crack for _, crack in fans])
-    return FragmentMesh(fragment_id, vertices.ravel(), np.arange(len(vertices), dtype=np.uint32), is_crack)
+    return FragmentMesh(fragment_id, vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3), is_crack)
 
 
 def small_run(with_meshes: bool = True, steps: int = 60) -> list[tuple[float, object]]:
     """Two bricks over a floor, a box and a ball beside them; one brick breaks half way and its pieces drift apart."""
     mesh = brick((0.4, 0.3, 0.3), 0.15)
-    tets = {"vertices": mesh.vertices.ravel(), "tetrahedra": mesh.tetrahedra.astype(np.uint32).ravel()}
+    tets = {"vertices": mesh.vertices, "tetrahedra": mesh.tetrahedra.astype(np.uint32)}
     records: list[tuple[float, object]] = [
         (0.0, CollisionBody(1, 1, name="floor", plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True)),
         (0.0, CollisionBody(2, 2, name="shelf", primitive=SolidPrimitive(BOX, (2.0, 0.6, 0.1)), is_static=True)),
@@ -55,7 +55,7 @@ def small_run(with_meshes: bool = True, steps: int = 60) -> list[tuple[float, ob
         spread = 0.004 * (step - BREAKS_AT)
         places += [(-0.4 + spread * (i - 1.5), 0, 0.6) for i in range(len(pieces))] if broken else [(-0.4, 0, 0.6)]
         states = FragmentStates(
-            step, int(broken), np.array(ids), np.array(places, dtype=float).ravel(), np.tile([0.0, 0, 0, 1], len(ids))
+            step, int(broken), np.array(ids), np.array(places, dtype=float), np.tile([0.0, 0, 0, 1], (len(ids), 1))
         )
         records.append((time, states))
     return records
@@ -72,6 +72,5 @@ def show(page: Page, step: int = 0, with_meshes: bool = False, shift: float = 0.
     for mesh in records_of(FragmentMesh) if with_meshes else ():
         page.add_fragment(mesh, BREAKS)
     states = records_of(FragmentStates)[step]
-    aside = np.tile([shift, 0.0, 0.0], len(states.fragment_ids))
-    page.show_states(states._replace(positions=states.positions + aside))
+    page.show_states(states._replace(positions=states.positions + (shift, 0.0, 0.0)))
     page.flush()

@@ -135,7 +135,7 @@ def _least_query(world: World, tolerance: float) -> tuple[float, float, str]:
         contacts.append(sum(found.values()))
         wanted = settings.contacts_per_pair
         located.append(sum(max(n - found.get(pair, 0), 0) for pair, n in shared.items() if found.get(pair, 0) < wanted))
-    machine = _undisturbed(TETRAHEDRON * len(world.body.tetrahedra) // 4)
+    machine = _undisturbed(TETRAHEDRON * len(world.body.tetrahedra))
     listed, apart = (floor_of(work, machine).in_turn for work in (LISTED, LOCATED))
     mean_listed, mean_apart = float(np.mean(contacts)), float(np.mean(located))
     words = f"{mean_listed:.0f} contacts at {listed:.0f} ns, {mean_apart:.0f} other samples of cracks at {apart:.0f} ns"

@@ -64,7 +64,7 @@ def roll(duration: float, tolerance: float, contacts: int) -> Roll:
     with Lockstep(scene, settings) as run:
         for exchange in run:
             row = int(np.flatnonzero(exchange.registry.fragment_ids == exchange.states.fragment_ids[0])[0])
-            own = exchange.registry.centers_of_mass[3 * row : 3 * row + 3]
+            own = exchange.registry.centers_of_mass[row]
             center = exchange.states.positions + Rotation.from_quat(exchange.states.orientations).apply(own)
             report = exchange.report
             rows.append((

@@ -116,8 +116,9 @@ class SimulatorNode(Node):
     def run(self, executor: Executor) -> None:
         """Simulates the scene to its end. Raises Fatal if the service rejects the states."""
         self._await_subscribers(executor)
-        self._set_lookahead(executor)
         self._announce(self._simulation.start_bodies(), [])
+        # The service takes the bodies before it answers this request, and the first step does not wait for them.
+        self._set_lookahead(executor)
         while not self._simulation.finished:
             began = time.perf_counter()
             report, round_trip = self._step(executor)

@@ -139,7 +139,7 @@ def make_report(service: np.ndarray, simulator: np.ndarray) -> dict[str, Any]:
 
 def _at_the_end(bag: Path) -> tuple[int, dict[str, float]]:
     """Number of all fragments at the end, and totals as in `scene_run`, of bodies that are tetrahedral meshes."""
-    meshes = {m.fragment_id: len(m.triangles) // 3 for m in _messages(bag, "/fragment_meshes", FragmentMesh)}
+    meshes = {m.fragment_id: len(m.triangles) for m in _messages(bag, "/fragment_meshes", FragmentMesh)}
     pieces_of = {m.body_id: m.is_static for m in _messages(bag, "/bodies", CollisionBody) if len(m.tetrahedra)}
     registries = deque(_messages(bag, "/fragments", FragmentRegistry), maxlen=1)
     if not registries:

@@ -17,9 +17,9 @@ def contact_poses(contacts: ContactConstraintArray) -> np.ndarray:
 
     The quaternion is the smallest rotation that turns z to the normal (from fragment a to b).
     """
-    normals = contacts.normals.reshape(-1, 3)
+    normals = contacts.normals
     poses = np.zeros((len(normals), 7))
-    poses[:, :3] = 0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3)
+    poses[:, :3] = 0.5 * (contacts.points_a + contacts.points_b)
     x, y, z = normals.T
     across = np.hypot(x, y)
     half = 0.5 * np.arctan2(across, z)

@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 
 from fracture_collision import msg as messages
 from fracture_collision import records
-from fracture_collision.cdr import Heading, flat_array
+from fracture_collision.cdr import Heading, flat_array, in_rows
 
 Record = TypeVar("Record", bound=NamedTuple)
 
@@ -57,12 +57,12 @@ def header_of(head: Heading) -> Header:
 
 
 def to_message(record: NamedTuple, head: Heading, run_id: int) -> Any:
-    """The ROS message of a record. ValueError if an array has more than one dimension, or a plane not four numbers."""
+    """The ROS message of a record. ValueError if an array has another shape, or a plane not four numbers."""
     message_class = message_class_of(record)
     message = message_class(header=header_of(head), run_id=run_id)
     for name, field_type in message_class.get_fields_and_field_types().items():
         if name not in ("header", "run_id"):
-            setattr(message, name, _to_field(getattr(record, name), field_type))
+            setattr(message, name, _to_field(name, getattr(record, name), field_type))
     return message
 
 
@@ -70,13 +70,15 @@ def to_record(message: Any) -> Any:
     """The record of a ROS message. Its arrays are views: the message must be left alone afterwards."""
     record_class = record_class_of(type(message))
     types = message.get_fields_and_field_types()
-    return record_class(**{name: _from_field(getattr(message, name), types[name]) for name in record_class._fields})
+    return record_class(
+        **{name: _from_field(name, getattr(message, name), types[name]) for name in record_class._fields}
+    )
 
 
-def _to_field(value: Any, field_type: str) -> Any:
+def _to_field(name: str, value: Any, field_type: str) -> Any:
     if field_type in _SEQUENCES:
         code = _SEQUENCES[field_type]
-        return array(code, flat_array(value, code).tobytes())
+        return array(code, flat_array(value, code, records.WIDTHS.get(name, 0)).tobytes())
     if field_type == "sequence<boolean>":
         return np.asarray(value, dtype=bool).tolist()
     if field_type == "shape_msgs/SolidPrimitive":
@@ -97,9 +99,9 @@ def _four(value: Any) -> np.ndarray:
     return coefficients
 
 
-def _from_field(value: Any, field_type: str) -> Any:
+def _from_field(name: str, value: Any, field_type: str) -> Any:
     if field_type in _SEQUENCES:
-        return np.asarray(value, dtype=_SEQUENCES[field_type])
+        return in_rows(np.asarray(value, dtype=_SEQUENCES[field_type]), records.WIDTHS.get(name, 0))
     if field_type == "sequence<boolean>":
         return np.array(value, dtype=bool)
     if field_type == "shape_msgs/SolidPrimitive":

@@ -123,7 +123,7 @@ class ArmControl:
             for name in ("fragment_a", "fragment_b", "missed_depth_bound", "friction", "restitution")
         }
         points = {
-            name: getattr(contacts, name).reshape(-1, 3)[kept].ravel() for name in ("points_a", "points_b", "normals")
+            name: getattr(contacts, name)[kept] for name in ("points_a", "points_b", "normals")
         }
         begin = begins_of(counts[others]).astype(contacts.pair_begin.dtype)
         return contacts._replace(

@@ -308,5 +308,5 @@ def collision_body(body_id: int, body: SceneBody) -> CollisionBody:
         return record._replace(primitive=SolidPrimitive(SPHERE, (shape.radius,)))
     assert shape.mesh is not None  # as in every shape of another kind
     return record._replace(
-        vertices=shape.mesh.vertices.ravel(), tetrahedra=shape.mesh.tetrahedra.astype(np.uint32).ravel()
+        vertices=shape.mesh.vertices, tetrahedra=shape.mesh.tetrahedra.astype(np.uint32)
     )

@@ -80,8 +80,8 @@ def with_remembered(
     """
     order = np.argsort(states.fragment_ids, kind="stable")
     ids = states.fragment_ids[order]
-    positions = np.concatenate((states.positions.reshape(-1, 3)[order], np.zeros((1, 3))))
-    quaternions = np.concatenate((states.orientations.reshape(-1, 4)[order], [[0.0, 0.0, 0.0, 1.0]]))
+    positions = np.concatenate((states.positions[order], np.zeros((1, 3))))
+    quaternions = np.concatenate((states.orientations[order], [[0.0, 0.0, 0.0, 1.0]]))
 
     def frames_of(fragments: np.ndarray) -> np.ndarray:
         rows = np.searchsorted(ids, fragments)
@@ -89,7 +89,7 @@ def with_remembered(
 
     listed = _Listed(
         contacts.fragment_a, contacts.fragment_b, contacts.pair_begin.astype(np.int64), contacts.contact_ids,
-        contacts.points_a.reshape(-1, 3), contacts.points_b.reshape(-1, 3), contacts.normals.reshape(-1, 3),
+        contacts.points_a, contacts.points_b, contacts.normals,
         contacts.gaps,
     )  # fmt: skip
     frames = _Frames(
@@ -97,8 +97,8 @@ def with_remembered(
     )
     begin, contact_ids, points_a, points_b, normals, gaps, *local = _merge(listed, frames, memory, reach)
     merged = contacts._replace(
-        pair_begin=begin, contact_ids=contact_ids, points_a=points_a.ravel(), points_b=points_b.ravel(),
-        normals=normals.ravel(), gaps=gaps,
+        pair_begin=begin, contact_ids=contact_ids, points_a=points_a, points_b=points_b,
+        normals=normals, gaps=gaps,
     )  # fmt: skip
     return merged, ContactMemory(contacts.fragment_a, contacts.fragment_b, begin, contact_ids, *local)
 

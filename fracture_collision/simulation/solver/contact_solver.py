@@ -175,7 +175,7 @@ def solve_contacts(
     listed = Contacts(
         begin, pairs.body_a, pairs.body_b, contacts.friction, contacts.restitution, pairs.rolling_arm,
         pairs.sizes, pairs.bounce_speeds,
-        0.5 * (contacts.points_a + contacts.points_b).reshape(-1, 3), contacts.normals.reshape(-1, 3), contacts.gaps,
+        0.5 * (contacts.points_a + contacts.points_b), contacts.normals, contacts.gaps,
         pairs.rest_gaps, np.full(count, np.inf) if again is None else again.impulse_limits,
     )  # fmt: skip
     if again is None:
@@ -294,5 +294,5 @@ def hardest_hit(
         if load > best_load:
             best, best_load = pair, load
     those = slice(begin[best], begin[best + 1])
-    points = (contacts.points_a if pairs.body_a[best] == row else contacts.points_b).reshape(-1, 3)
+    points = contacts.points_a if pairs.body_a[best] == row else contacts.points_b
     return (impulses[those, None] * points[those]).sum(axis=0) / best_load, best_load

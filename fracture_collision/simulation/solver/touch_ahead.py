@@ -102,13 +102,13 @@ def chosen_contacts(contacts: ContactConstraintArray, chosen: np.ndarray, stays:
     """The `chosen` (N,) contacts, and the pairs that have any or `stays` (p,)."""
     counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
     left = np.bincount(np.repeat(np.arange(len(counts)), counts)[chosen], minlength=len(counts))
-    stays, rows = stays | (left > 0), np.repeat(chosen, 3)
+    stays = stays | (left > 0)
     return contacts._replace(
         fragment_a=contacts.fragment_a[stays], fragment_b=contacts.fragment_b[stays],
         pair_begin=begins_of(left[stays]).astype(contacts.pair_begin.dtype),
         missed_depth_bound=contacts.missed_depth_bound[stays], friction=contacts.friction[stays],
-        restitution=contacts.restitution[stays], points_a=contacts.points_a[rows], points_b=contacts.points_b[rows],
-        normals=contacts.normals[rows], gaps=contacts.gaps[chosen], contact_ids=contacts.contact_ids[chosen],
+        restitution=contacts.restitution[stays], points_a=contacts.points_a[chosen], points_b=contacts.points_b[chosen],
+        normals=contacts.normals[chosen], gaps=contacts.gaps[chosen], contact_ids=contacts.contact_ids[chosen],
     )  # fmt: skip
 
 
@@ -141,8 +141,7 @@ def shares_of_step(
     if ahead is not None and pairs_ahead is not None:
         repeat: np.ndarray = np.diff(ahead.pair_begin.astype(np.int64))
         a, b = np.repeat(pairs_ahead.body_a, repeat), np.repeat(pairs_ahead.body_b, repeat)
-        points_a, points_b, normals = (x.reshape(-1, 3) for x in (ahead.points_a, ahead.points_b, ahead.normals))
-        parts.append(Touches(a, b, points_a, points_b, normals, pairs_ahead.rest_gaps))
+        parts.append(Touches(a, b, ahead.points_a, ahead.points_b, ahead.normals, pairs_ahead.rest_gaps))
     motion = Motion(states.centers, moves, time_step)
     if parts:
         touches = Touches._make(np.concatenate(column) for column in zip(*parts, strict=True))
@@ -209,7 +208,7 @@ def _touching(
         np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, pairs.sizes, chosen)
     )
     columns = (contacts.points_a, contacts.points_b, contacts.normals)
-    points_a, points_b, normals = (column.reshape(-1, 3)[chosen] for column in columns)
+    points_a, points_b, normals = (column[chosen] for column in columns)
     rest_gap, ahead_gap = settings.rest_gap * sizes[chosen], settings.ahead_gap * sizes[chosen]
     gaps = np.minimum(contacts.gaps[chosen], rest_gap)
     most = np.maximum(ahead_gap + (gaps - rest_gap), deeper * ahead_gap)

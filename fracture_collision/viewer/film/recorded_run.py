@@ -80,9 +80,8 @@ def _meshes(bag: Path, run_id: int, namespace: str | None) -> dict[int, Fragment
         except ValueError as error:
             raise BagError(f"{bag}: {message.topic}: {error}") from error
         mesh = received.record
-        corners, triangles = len(mesh.vertices) // 3, len(mesh.triangles) // 3
-        fits = 3 * corners == len(mesh.vertices) and 3 * triangles == len(mesh.triangles) == 3 * len(mesh.is_crack)
-        if not fits or np.any(mesh.triangles >= corners) or not np.isfinite(mesh.vertices).all():
+        fits = mesh.vertices.ndim == mesh.triangles.ndim == 2 and len(mesh.triangles) == len(mesh.is_crack)
+        if not fits or np.any(mesh.triangles >= len(mesh.vertices)) or not np.isfinite(mesh.vertices).all():
             raise BagError(f"{bag}: {message.topic}: the mesh of fragment {mesh.fragment_id} is not made of triangles")
         if received.run_id == run_id:
             meshes[mesh.fragment_id] = mesh
@@ -92,13 +91,13 @@ def _meshes(bag: Path, run_id: int, namespace: str | None) -> dict[int, Fragment
 def _states(bag: Path, question: Question) -> RecordedStates:
     states: FragmentStates = deserialize_record(question.states, FragmentStates).record
     count = len(states.fragment_ids)
-    if len(states.positions) != 3 * count or len(states.orientations) != 4 * count:
+    if states.positions.shape != (count, 3) or states.orientations.shape != (count, 4):
         raise BagError(f"{bag}: step {states.step}: the numbers of poses and fragments differ")
     return RecordedStates(
         time=1e-9 * question.time,
         step=states.step,
         fracture_sequence=states.fracture_sequence,
         fragment_ids=states.fragment_ids.astype(np.int64),
-        positions=states.positions.reshape(-1, 3),
-        orientations=states.orientations.reshape(-1, 4),
+        positions=states.positions,
+        orientations=states.orientations,
     )

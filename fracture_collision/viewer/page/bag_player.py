@@ -126,8 +126,8 @@ class BagPlayer:
         states = self._run.states[index]
         self.page.show_states(
             FragmentStates(
-                states.step, states.fracture_sequence, states.fragment_ids, states.positions.ravel(),
-                states.orientations.ravel(),
+                states.step, states.fracture_sequence, states.fragment_ids, states.positions,
+                states.orientations,
             )
         )  # fmt: skip
         if wants_contacts:

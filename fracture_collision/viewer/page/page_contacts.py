@@ -77,12 +77,12 @@ class ContactLayers:
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         on = {name for name, switch in self._switches.items() if switch.value}
         layers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-        a, b = contacts.points_a.reshape(-1, 3), contacts.points_b.reshape(-1, 3)
+        a, b = contacts.points_a, contacts.points_b
         middle, colours = 0.5 * (a + b), 255.0 * gap_colours(contacts.gaps)
         if "points" in on:
             layers["points"] = middle, colours
         if "normals" in on:
-            tips = middle + NORMAL_LENGTH * contacts.normals.reshape(-1, 3)
+            tips = middle + NORMAL_LENGTH * contacts.normals
             layers["normals"] = np.stack((middle, tips), axis=1), np.repeat(colours[:, None], 2, axis=1)
         if on & {"pairs", "bounds"}:
             listed, lines = _pair_lines(contacts, centre)
@@ -104,7 +104,7 @@ def _pair_lines(contacts: ContactConstraintArray, centre: Centre) -> tuple[np.nd
     listed, lines = [], []
     for i, (a, b) in enumerate(zip(contacts.fragment_a.tolist(), contacts.fragment_b.tolist(), strict=True)):
         ends = [centre(a), centre(b)]
-        here = contacts.points_a.reshape(-1, 3)[contacts.pair_begin[i] : contacts.pair_begin[i + 1]]
+        here = contacts.points_a[contacts.pair_begin[i] : contacts.pair_begin[i + 1]]
         if len(here):
             ends = [here.mean(axis=0) if end is None else end for end in ends]
         if all(end is not None for end in ends):

@@ -22,6 +22,7 @@ from fracture_collision.world.gates.checks import (
 
 QUATERNION_TOLERANCE = 1e-6
 _TYPES = (np.dtype(np.uint32), *[np.dtype(np.float64)] * 4)  # of fragment_ids and the columns after it
+_WIDTHS = (0, 3, 4, 3, 3)  # of their rows
 
 
 class _Columns(NamedTuple):
@@ -57,9 +58,12 @@ def _as_they_are(states: FragmentStates) -> CheckedStates | None:
     given = _Columns(
         states.fragment_ids, states.positions, states.orientations, states.linear_velocities, states.angular_velocities
     )
-    for column, dtype in zip(given, _TYPES, strict=True):
-        if type(column) is not np.ndarray or column.dtype != dtype or column.ndim != 1 or not column.flags.carray:
+    for column, dtype, width in zip(given, _TYPES, _WIDTHS, strict=True):
+        if type(column) is not np.ndarray or column.dtype != dtype or not column.flags.carray:
             return None
+        if column.ndim != 1 and column.shape[1:] != (width,):
+            return None
+    given = _Columns(*(column.reshape(-1) for column in given))
     step = identifier("step", states.step, UINT64_MAX)
     sequence = identifier("fracture_sequence", states.fracture_sequence, UINT64_MAX)
     bodies = identifier("body_sequence", states.body_sequence, UINT64_MAX)
