@@ -148,7 +148,8 @@ def test_only_changed_markers_are_published_again() -> None:
     # markers are deleted after a rewind to before the fracture, and after a body is removed
     world.add_fracture(FIRST)
     broken = STATES._replace(step=4, fracture_sequence=1, fragment_ids=np.array([10, 11]),
-                             positions=np.tile([0.0, 0.0, 0.24], (2, 1)), orientations=np.tile([0.0, 0, 0, 1.0], (2, 1)))
+                             positions=np.tile([0.0, 0.0, 0.24], (2, 1)),
+                             orientations=np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
     assert {("fragments", 10), ("fragments", 11)} < set(by_name(shown(world, markers, broken, complete=False)))
     back = by_name(shown(world, markers, whole(5), complete=False))
     assert back["fragments", 10].action == Marker.DELETE and back["fragments", 1].action == Marker.ADD
