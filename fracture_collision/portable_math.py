@@ -26,15 +26,15 @@ _COSINE = (
     4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05,
     -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11,
 )  # fmt: skip
-# atan(1/2), atan(1), atan(3/2), pi/2, each with what its last bit leaves
-_ARCTANGENTS = np.array([0.0, 4.63647609000806093515e-01, 7.85398163397448278999e-01,
-                         9.82793723247329054082e-01, 1.57079632679489655800e00])  # fmt: skip
-_ARCTANGENT_TAILS = np.array([0.0, 2.26987774529616870924e-17, 3.06161699786838301793e-17,
-                              1.39033110312309984516e-17, 6.12323399573676603587e-17])  # fmt: skip
+# atan(1/2), atan(1) and pi/2, each with what its last bit leaves
+_ARCTANGENT_HALF = (4.63647609000806093515e-01, 2.26987774529616870924e-17)
+_ARCTANGENT_ONE = (7.85398163397448278999e-01, 3.06161699786838301793e-17)
+_RIGHT_ANGLE = (1.57079632679489655800e00, 6.12323399573676603587e-17)
+# from the highest power down
 _ARCTANGENT = (
-    3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01, -1.11111104054623557880e-01,
-    9.09088713343650656196e-02, -7.69187620504482999495e-02, 6.66107313738753120669e-02, -5.83357013379057348645e-02,
-    4.97687799461593236017e-02, -3.65315727442169155270e-02, 1.62858201153657823623e-02,
+    1.62858201153657823623e-02, -3.65315727442169155270e-02, 4.97687799461593236017e-02, -5.83357013379057348645e-02,
+    6.66107313738753120669e-02, -7.69187620504482999495e-02, 9.09088713343650656196e-02, -1.11111104054623557880e-01,
+    1.42857142725034663711e-01, -1.99999999998764832476e-01, 3.33333333333329318027e-01,
 )  # fmt: skip
 _LN2, _LN2_TAIL = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _EXPONENTIAL = (
@@ -85,24 +85,26 @@ def sine_after(angle, quarters):
     return sign * ((1.0 - odd) * sin + odd * cos)
 
 
-def arctangent2(y, x) -> np.ndarray:
-    """The angle [rad] of (x, y), in [-pi, pi]; 0 for (0, 0)."""
-    y, x = np.broadcast_arrays(np.asarray(y, np.float64), np.asarray(x, np.float64))
+def arctangent2(y, x):
+    """The angle [rad] of (x, y), in [-pi, pi]; 0 for (0, 0). Without branches, as sine_after."""
     up, along = np.abs(y), np.abs(x)
-    swapped = up > along
-    low, high = np.where(swapped, along, up), np.where(swapped, up, along)
-    t = low / np.where(high == 0.0, 1.0, high)  # within [0, 1]
-    # t is turned back by the nearest of 0, atan(1/2) and atan(1).
-    step = np.where(t < 0.4375, 0, np.where(t < 0.6875, 1, 2))
-    rest = np.choose(step, (t, (2.0 * t - 1.0) / (2.0 + t), (t - 1.0) / (t + 1.0)))
+    low, high = np.minimum(up, along), np.maximum(up, along)
+    t = low / (high + (high == 0.0))  # within [0, 1]
+    # t is turned back by the nearest of 0, atan(1/2) and atan(1): each of these is 1 or 0, products with it are exact.
+    by_one, by_half = 1.0 * (t >= 0.6875), 1.0 * (t >= 0.4375) * (t < 0.6875)
+    by_none = 1.0 - by_half - by_one
+    rest = by_none * t + by_half * ((2.0 * t - 1.0) / (2.0 + t)) + by_one * ((t - 1.0) / (t + 1.0))
+    back = by_half * _ARCTANGENT_HALF[0] + by_one * _ARCTANGENT_ONE[0]
+    tail = by_half * _ARCTANGENT_HALF[1] + by_one * _ARCTANGENT_ONE[1]
     z = rest * rest
-    series = np.zeros_like(z)
-    for coefficient in reversed(_ARCTANGENT):
+    series = 0.0 * z
+    for coefficient in _ARCTANGENT:
         series = z * (coefficient + series)
-    angle = _ARCTANGENTS[step] - ((rest * series - _ARCTANGENT_TAILS[step]) - rest)
-    angle = np.where(swapped, _ARCTANGENTS[4] - (angle - _ARCTANGENT_TAILS[4]), angle)
-    angle = np.where(x < 0.0, 2.0 * _ARCTANGENTS[4] - (angle - 2.0 * _ARCTANGENT_TAILS[4]), angle)
-    return np.where(y < 0.0, -angle, angle)
+    angle = back - ((rest * series - tail) - rest)
+    swapped, behind = 1.0 * (up > along), 1.0 * (x < 0.0)
+    angle = (1.0 - swapped) * angle + swapped * (_RIGHT_ANGLE[0] - (angle - _RIGHT_ANGLE[1]))
+    angle = (1.0 - behind) * angle + behind * (2.0 * _RIGHT_ANGLE[0] - (angle - 2.0 * _RIGHT_ANGLE[1]))
+    return (1.0 - 2.0 * (y < 0.0)) * angle
 
 
 def arccosine(x) -> np.ndarray:

@@ -188,6 +188,10 @@ class SharedTraits(NamedTuple):
     sizes: np.ndarray  # (p,) R [m], the smaller one
     is_one_body: np.ndarray  # (p,) bool: fragments of one body
 
+    def of(self, pairs: np.ndarray) -> SharedTraits:
+        """Those of some `pairs` (p,) bool."""
+        return self if pairs.all() else SharedTraits._make(column[pairs] for column in self)
+
 
 def shared_traits(contacts: ContactConstraintArray, traits: Traits, cast: Cast) -> SharedTraits:
     """Traits of the pairs of `contacts`. ValueError if a fragment is neither among the n of `traits` nor static."""

@@ -19,10 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.portable_math import dots, lengths
+from fracture_collision.kernel_sources import cached_njit
+from fracture_collision.portable_math import lengths
 from fracture_collision.records import ContactConstraintArray
+from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.engine import BodyStates, ByFragment, rows_of
-from fracture_collision.simulation.rotations import INVERSE, quaternion_products, rotation_matrices, turned
+from fracture_collision.simulation.rotations import INVERSE, quaternion_products, rotation_matrices
 from fracture_collision.simulation.solver.contact_islands import islands_of
 from fracture_collision.simulation.solver.contact_solver import BodyPairs, SolverSettings
 from fracture_collision.simulation.solver.touch_ahead import StepContacts, chosen_contacts
@@ -69,29 +71,68 @@ def carried_contacts(waited: Waited, after: BodyStates, settings: SolverSettings
     """The contacts of a step at its end, where bodies are as in `after`: those that are open by `ahead_gap` at most."""
     before = waited.states
     contacts, pairs = _all_of(waited)
-    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
     none = len(after.masses)
+    # Rows of what cannot move are the last; a fragment that broke has the same row, but has no contacts any more.
     rows = np.append(rows_of(before.fragment_ids, after.fragment_ids), none)
     at = np.where(rows[:-1] < none, rows[:-1], 0)
     turns = quaternion_products(after.frame_orientations[at], before.frame_orientations * INVERSE)
     turns[waited.is_round] = 0.0, 0.0, 0.0, 1.0  # another point of a sphere comes to where it touches
-    rotations = np.concatenate((rotation_matrices(turns), np.eye(3)[None]))
-    was, place = (np.vstack((centers, np.zeros(3))) for centers in (before.centers, after.centers[at]))
-    points = []
-    for body, known in ((pairs.body_a, contacts.points_a), (pairs.body_b, contacts.points_b)):
-        own = np.repeat(body, counts)
-        points.append(place[own] + turned(rotations[own], known - was[own]))
-    gaps, sizes = dots(contacts.normals, points[1] - points[0]), np.repeat(pairs.sizes, counts)
-    # Rows of what cannot move are the last; a fragment that broke has the same row, but has no contacts any more.
-    stays = np.append(rows[:-1] < none, True)
-    kept = (gaps <= settings.ahead_gap * sizes) & np.repeat(stays[pairs.body_a] & stays[pairs.body_b], counts)
-    tolerance = settings.memory_reach * sizes
-    gaps = gaps + np.where(gaps > tolerance, CLOSER * tolerance, 0.0)
-    moved = contacts._replace(points_a=points[0], points_b=points[1], gaps=gaps)
-    moved = chosen_contacts(moved, kept, np.ones(len(counts), bool))
+    course = _Course(before.centers, after.centers[at], rotation_matrices(turns), rows[:-1] < none)
+    points_a, points_b, gaps, kept = _carried(
+        contacts.pair_begin, pairs.body_a, pairs.body_b, contacts.points_a, contacts.points_b, contacts.normals, course,
+        settings.ahead_gap * pairs.sizes, settings.memory_reach * pairs.sizes,
+    )  # fmt: skip
+    moved = contacts._replace(points_a=points_a, points_b=points_b, gaps=gaps)
+    moved = chosen_contacts(moved, kept, np.ones(len(pairs.sizes), bool))
     return moved, pairs._replace(
         body_a=rows[pairs.body_a], body_b=rows[pairs.body_b], rest_gaps=pairs.rest_gaps[kept]
     )
+
+
+class _Course(NamedTuple):
+    """How n bodies moved in a step."""
+
+    before: np.ndarray  # (n, 3) [m], centres
+    after: np.ndarray  # (n, 3) [m]
+    rotations: np.ndarray  # (n, 3, 3)
+    stays: np.ndarray  # (n,) bool: has not broken
+
+
+@cached_njit
+def _carried(begin, body_a, body_b, points_a, points_b, normals, course, ahead_gaps, tolerances):
+    """Points (N, 3) [m] of contacts carried along with their bodies, their gaps (N,) [m], and which are kept (N,) bool.
+
+    ahead_gaps, tolerances (p,) [m] of the pairs; gaps beyond the tolerance are enlarged, see CLOSER.
+    """
+    to_a, to_b = np.empty_like(points_a), np.empty_like(points_b)
+    gaps, kept = np.empty(len(points_a)), np.zeros(len(points_a), np.bool_)
+    for pair in range(len(body_a)):
+        a, b, tolerance = body_a[pair], body_b[pair], tolerances[pair]
+        stays = _stays(a, course) and _stays(b, course)
+        for c in range(begin[pair], begin[pair + 1]):
+            _carry(a, points_a[c], course, to_a[c])
+            _carry(b, points_b[c], course, to_b[c])
+            n, p, q = normals[c], to_a[c], to_b[c]
+            gap = n[0] * (q[0] - p[0]) + n[1] * (q[1] - p[1]) + n[2] * (q[2] - p[2])
+            kept[c] = stays and gap <= ahead_gaps[pair]
+            gaps[c] = gap + CLOSER * tolerance if gap > tolerance else gap
+    return to_a, to_b, gaps, kept
+
+
+@uncounted
+def _stays(body, course):
+    return body >= len(course.stays) or course.stays[body]
+
+
+@uncounted
+def _carry(body, point, course, to):
+    if body >= len(course.stays):
+        to[0], to[1], to[2] = point[0], point[1], point[2]
+        return
+    was, now, r = course.before[body], course.after[body], course.rotations[body]
+    x, y, z = point[0] - was[0], point[1] - was[1], point[2] - was[2]
+    for k in range(3):
+        to[k] = now[k] + (r[k, 0] * x + r[k, 1] * y + r[k, 2] * z)
 
 
 def extra_times(
@@ -124,15 +165,13 @@ def _all_of(waited: Waited) -> Touching:
     Bodies that open a little while they turn touch again in the next step, or the one after.
     """
     now, pairs, ahead, pairs_ahead = waited.contacts
-    found = now, pairs
-    if ahead is not None and pairs_ahead is not None:
-        found = _joined(found, (ahead, pairs_ahead))
+    found = _joined((now, pairs), (ahead, pairs_ahead)) if len(ahead.gaps) else (now, pairs)
     if waited.earlier is None:
         return found
     contacts, pairs = waited.earlier
     counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
     codes, known = ((its.fragment_a.astype(np.uint64) << 32) | its.fragment_b for its in (contacts, found[0]))
-    stays = (counts > 0) & ~np.isin(codes, known)
+    stays = (counts > 0) & (rows_of(codes, np.sort(known)) == len(known))
     kept = np.repeat(stays, counts)
     contacts = chosen_contacts(contacts, kept, stays)
     ids = waited.states.fragment_ids  # there may be new ones since

@@ -35,7 +35,7 @@ import numpy as np
 
 from fracture_collision import portable_math
 from fracture_collision.kernel_sources import cached_njit
-from fracture_collision.portable_math import dots, lengths, rotation_vectors
+from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.rotations import (
     crossed,
@@ -90,8 +90,11 @@ class BodyStates(NamedTuple):
 
 def rows_of(fragments: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """Positions of `fragments` (m,) in ascending `ids` (n,): (m,) int64; n if not among them."""
-    rows = np.searchsorted(ids, fragments)
-    return np.where(np.append(ids, 0)[rows] == fragments, rows, len(ids)).astype(np.int64)
+    rows, found = np.searchsorted(ids, fragments), np.full(len(fragments), len(ids), np.int64)
+    if len(ids):
+        known = ids[np.minimum(rows, len(ids) - 1)] == fragments
+        found[known] = rows[known]
+    return found
 
 
 class ByFragment(NamedTuple):
@@ -102,8 +105,12 @@ class ByFragment(NamedTuple):
 
     def of(self, fragment_ids: np.ndarray) -> np.ndarray:
         """(m, ...) the values of `fragment_ids` (m,), ascending; 0 for fragments that are not among these."""
-        none = np.zeros((1, *self.values.shape[1:]), self.values.dtype)
-        return np.concatenate((self.values, none))[rows_of(fragment_ids, self.fragment_ids)]
+        if fragment_ids is self.fragment_ids:
+            return self.values.copy()
+        rows = rows_of(fragment_ids, self.fragment_ids)
+        values, known = np.zeros((len(rows), *self.values.shape[1:]), self.values.dtype), rows < len(self.values)
+        values[known] = self.values[rows[known]]
+        return values
 
     def have(self, fragment_ids: np.ndarray) -> np.ndarray:
         """(m,) bool: whether `fragment_ids` (m,) are among these."""
@@ -295,6 +302,9 @@ CONVERGED = 1.0e-15
 NEARLY = 1.0e-12
 
 
+_arctangent2 = cached_njit(portable_math.arctangent2)
+
+
 @cached_njit
 def free_velocities(velocities, inertias, gravity, spans):
     """(n, 6) v [m/s] and w [rad/s] `spans` (n,) [s] on, under `gravity` (3,) [m/s2]; inertias (n, 3, 3) [kg m2]."""
@@ -309,25 +319,56 @@ def free_velocities(velocities, inertias, gravity, spans):
     return result
 
 
-def mean_spins(before: np.ndarray, after: np.ndarray, inertias: np.ndarray, spans: np.ndarray) -> np.ndarray:
+@cached_njit
+def mean_spins(before, after, inertias, spans):
     """Constant spins (n, 3) [rad/s] that turn free bodies within `spans` (n,) [s] so that momentum keeps its direction.
 
     before, after (n, 3) [rad/s]: their spins, see free_velocities. It is the mean of both, corrected by the least turn
     that brings the momentum after the step to that before.
     """
-    middle = 0.5 * (before + after)
-    turns = turns_of(spans[:, None] * middle, 1.0)
-    momentum, moved = turned(inertias, before), turned(rotation_matrices(turns), turned(inertias, after))
-    size = lengths(momentum) * lengths(moved)
-    align = np.column_stack((crossed(moved, momentum), dots(moved, momentum) + size))
-    align[~((align[:, 3] > 0.5 * size) & (size > STILL))] = 0.0, 0.0, 0.0, 1.0
-    align /= lengths(align)[:, None]
-    vectors = rotation_vectors(quaternion_products(align, turns))
-    angles, along = lengths(vectors), spans * dots(vectors, middle)
-    safe = np.where(angles > 0.0, angles, 1.0)
-    rounds = np.where(angles > 0.0, np.round((along / safe - angles) / (2.0 * np.pi)), 0.0)
-    spins = vectors * ((1.0 + 2.0 * np.pi * rounds / safe) / spans)[:, None]
-    return np.where((before == after).all(axis=1)[:, None], after, spins)
+    middles = 0.5 * (before + after)
+    turns = turns_of(spans.reshape(-1, 1) * middles, 1.0)
+    rotations = rotation_matrices(turns)
+    momenta, moved = turned(inertias, before), turned(rotations, turned(inertias, after))
+    align = np.empty_like(turns)
+    for i in range(len(before)):
+        was, now = _row(momenta, i), _row(moved, i)
+        size = math.sqrt(_dot(was, was)) * math.sqrt(_dot(now, now))
+        axis, w = _cross(now, was), _dot(now, was) + size
+        if not (w > 0.5 * size and size > STILL):
+            axis, w = (0.0, 0.0, 0.0), 1.0
+        length = math.sqrt(_dot(axis, axis) + w * w)
+        align[i, 0], align[i, 1], align[i, 2] = axis[0] / length, axis[1] / length, axis[2] / length
+        align[i, 3] = w / length
+    combined = quaternion_products(align, turns)
+    spins = np.empty_like(before)
+    for i in range(len(before)):
+        middle = _row(middles, i)
+        x, y, z = _rotation_vector(combined[i])
+        angle, along = math.sqrt(_dot((x, y, z), (x, y, z))), spans[i] * _dot((x, y, z), middle)
+        scale = 1.0 / spans[i]
+        if angle > 0.0:
+            rounds = np.rint((along / angle - angle) / (2.0 * np.pi))
+            scale = (1.0 + 2.0 * np.pi * rounds / angle) / spans[i]
+        is_steady = before[i, 0] == after[i, 0] and before[i, 1] == after[i, 1] and before[i, 2] == after[i, 2]
+        for k, value in enumerate((x, y, z)):
+            spins[i, k] = after[i, k] if is_steady else value * scale
+    return spins
+
+
+@uncounted
+def _rotation_vector(quaternion):
+    """portable_math.rotation_vectors of one."""
+    sign = -1.0 if quaternion[3] < 0.0 else 1.0
+    x, y, z = sign * quaternion[0], sign * quaternion[1], sign * quaternion[2]
+    size = math.sqrt(_dot((x, y, z), (x, y, z)))
+    scale = 2.0 * _arctangent2(size, sign * quaternion[3]) / size if size > 0.0 else 2.0
+    return scale * x, scale * y, scale * z
+
+
+@uncounted
+def _row(vectors, i):
+    return vectors[i, 0], vectors[i, 1], vectors[i, 2]
 
 
 @uncounted

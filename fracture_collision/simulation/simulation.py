@@ -272,13 +272,10 @@ class Simulation:
         deepest_gap = float(contacts.gaps.min(initial=0.0))
         settings, traits = self._scene.solver, self._traits(states)
         shared = shared_traits(contacts, traits, self._cast)
-        contacts, ahead = split_by_gap(contacts, shared.sizes, settings.ahead_gap)
-        pairs_ahead = None
-        if ahead is not None:
-            shared = shared_traits(ahead, traits, self._cast)
-            counts: np.ndarray = np.diff(ahead.pair_begin.astype(np.int64))
-            pairs_ahead = self._body_pairs(shared, np.repeat(settings.rest_gap * shared.sizes, counts))
-            shared = shared_traits(contacts, traits, self._cast)
+        split = split_by_gap(contacts, shared.sizes, settings.ahead_gap)
+        ahead, of_ahead, counts = split.ahead, shared.of(split.pairs_ahead), np.diff(split.ahead.pair_begin)
+        pairs_ahead = self._body_pairs(of_ahead, np.repeat(settings.rest_gap * of_ahead.sizes, counts))
+        contacts, shared = split.now, shared.of(split.pairs)
         touched = self._memory.fragment_a, self._memory.fragment_b
         reach = settings.memory_reach * shared.sizes
         contacts, self._memory = with_remembered(contacts, requested, self._memory, reach)

@@ -22,7 +22,6 @@ import numpy as np
 
 from fracture_collision.grouping import begins_of
 from fracture_collision.kernel_sources import cached_njit
-from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.engine import BodyStates
@@ -55,8 +54,8 @@ class StepContacts(NamedTuple):
 
     now: ContactConstraintArray  # those solved
     pairs: BodyPairs  # of these
-    ahead: ContactConstraintArray | None
-    pairs_ahead: BodyPairs | None
+    ahead: ContactConstraintArray
+    pairs_ahead: BodyPairs
 
 
 class Touches(NamedTuple):
@@ -82,30 +81,50 @@ class Course(NamedTuple):
     is_expected: np.ndarray  # (n,) bool: the service looked ahead with the velocities expected after contacts
 
 
-def split_by_gap(
-    contacts: ContactConstraintArray, sizes: np.ndarray, most: float
-) -> tuple[ContactConstraintArray, ContactConstraintArray | None]:
-    """The contacts with gaps of at most `most` R, with their pairs, and the contacts ahead, None without any.
+class Split(NamedTuple):
+    """Contacts of p pairs in two: those now, and those ahead; each with the pairs (p,) bool that it keeps."""
+
+    now: ContactConstraintArray
+    pairs: np.ndarray
+    ahead: ContactConstraintArray
+    pairs_ahead: np.ndarray
+
+
+def split_by_gap(contacts: ContactConstraintArray, sizes: np.ndarray, most: float) -> Split:
+    """The contacts with gaps of at most `most` R, with their pairs, and the contacts ahead.
 
     sizes (p,): R [m] of the pairs.
     """
-    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
-    is_ahead = contacts.gaps > most * np.repeat(sizes, counts)
-    if not is_ahead.any():
-        return contacts, None
+    is_ahead, is_empty, has_now, has_ahead = _split(contacts.pair_begin, contacts.gaps, most * sizes)
+    none_ahead = not has_ahead.any()
     # A pair listed without contacts stays, for its missed_depth_bound.
-    is_empty = counts == 0
-    return chosen_contacts(contacts, ~is_ahead, is_empty), chosen_contacts(contacts, is_ahead, np.zeros_like(is_empty))
+    now = contacts if none_ahead else chosen_contacts(contacts, ~is_ahead, is_empty)
+    return Split(now, has_now | is_empty, chosen_contacts(contacts, is_ahead, has_ahead), has_ahead)
+
+
+@cached_njit
+def _split(begin, gaps, most):
+    """(N,) bool: contacts ahead; (p,) bool each: pairs without contacts, with contacts now, with contacts ahead."""
+    count = len(begin) - 1
+    is_ahead = np.zeros(len(gaps), np.bool_)
+    is_empty, has_now, has_ahead = np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    for pair in range(count):
+        is_empty[pair] = begin[pair] == begin[pair + 1]
+        for c in range(begin[pair], begin[pair + 1]):
+            is_ahead[c] = gaps[c] > most[pair]
+            has_now[pair] |= not is_ahead[c]
+            has_ahead[pair] |= is_ahead[c]
+    return is_ahead, is_empty, has_now, has_ahead
 
 
 def chosen_contacts(contacts: ContactConstraintArray, chosen: np.ndarray, stays: np.ndarray) -> ContactConstraintArray:
     """The `chosen` (N,) contacts, and the pairs that have any or `stays` (p,)."""
-    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
-    left = np.bincount(np.repeat(np.arange(len(counts)), counts)[chosen], minlength=len(counts))
-    stays = stays | (left > 0)
+    before = np.append(0, np.cumsum(chosen))[contacts.pair_begin]  # of the chosen
+    counts = before[1:] - before[:-1]
+    stays = stays | (counts > 0)
     return contacts._replace(
         fragment_a=contacts.fragment_a[stays], fragment_b=contacts.fragment_b[stays],
-        pair_begin=begins_of(left[stays]).astype(contacts.pair_begin.dtype),
+        pair_begin=begins_of(counts[stays]).astype(contacts.pair_begin.dtype),
         missed_depth_bound=contacts.missed_depth_bound[stays], friction=contacts.friction[stays],
         restitution=contacts.restitution[stays], points_a=contacts.points_a[chosen], points_b=contacts.points_b[chosen],
         normals=contacts.normals[chosen], gaps=contacts.gaps[chosen], contact_ids=contacts.contact_ids[chosen],
@@ -117,115 +136,179 @@ def shares_of_step(
     time_step: float,
 ) -> np.ndarray:  # fmt: skip
     """(n,) share of their course for which bodies move: no farther than to where they touch."""
-    (now, pairs, ahead, pairs_ahead), (moves, searched, *_), is_round = contacts, course, forms.is_round
-    count = len(states.fragment_ids)
-    shares = np.ones(count)
+    (now, pairs, ahead, pairs_ahead), (moves, searched, falls, is_expected) = contacts, course
+    is_round, motion = forms.is_round, Motion(states.centers, moves, time_step)
+    near = settings.ahead_gap * pairs.sizes
     if searched is None:
-        is_chosen = _turns_far(pairs, moves, time_step)
+        is_chosen = _turns_far(pairs.body_a, pairs.body_b, moves, time_step)
+        shares = np.ones(len(moves))
     else:
         boxes, least = boxes_of(states.masses, states.inertias), settings.ahead_gap * forms.sizes[:-1]
         spare = np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
         reach = np.where(is_round[:-1], 0.0, boxes.reach())  # turning does not move a sphere's surface
-        near = settings.ahead_gap * pairs.sizes
-        is_chosen = _goes_astray(pairs, moves, reach, near, time_step)
-        of_bodies = np.append(spare, np.inf)
-        spare_of_pairs = np.minimum(of_bodies[pairs.body_a], of_bodies[pairs.body_b])
-        # What cannot move may be smaller than what touches it.
-        spare_of_pairs = np.minimum(spare_of_pairs, MOST_SPARE * near)
-        shares = _shares_as_searched(pairs, course, reach, spare, spare_of_pairs, time_step)
-        if ahead is not None or is_chosen.any() or shares.min(initial=1.0) < 1.0:
+        is_chosen = _goes_astray(pairs.body_a, pairs.body_b, moves, reach, near, time_step)
+        deviation = Deviation(searched, falls, is_expected, reach, spare)
+        shares = _shares_as_searched(pairs.body_a, pairs.body_b, near, motion, deviation)
+        if len(ahead.gaps) or is_chosen.any() or shares.min(initial=1.0) < 1.0:
             # Two that touch are kept apart while both move: one that moves on alone would run into the other.
-            is_chosen = is_chosen | ((pairs.body_a < count) & (pairs.body_b < count))
-    touching = _touching(now, pairs, is_chosen, settings, DEEPER if searched is not None else 1.0)
-    parts = [] if touching is None else [touching]
-    if ahead is not None and pairs_ahead is not None:
-        repeat: np.ndarray = np.diff(ahead.pair_begin.astype(np.int64))
-        a, b = np.repeat(pairs_ahead.body_a, repeat), np.repeat(pairs_ahead.body_b, repeat)
-        parts.append(Touches(a, b, ahead.points_a, ahead.points_b, ahead.normals, pairs_ahead.rest_gaps))
-    motion = Motion(states.centers, moves, time_step)
-    if parts:
-        touches = Touches._make(np.concatenate(column) for column in zip(*parts, strict=True))
-        if searched is not None:
-            touches = _by_middles_of_spheres(touches, states.centers, is_round)
+            is_chosen |= (pairs.body_a < len(moves)) & (pairs.body_b < len(moves))
+    if is_chosen.any() or len(ahead.gaps):
+        deeper = 1.0 if searched is None else DEEPER
+        ends = _least_gaps(now.pair_begin, now.gaps, settings.rest_gap * pairs.sizes, near, deeper)
+        touching = _Listed(
+            now.pair_begin, pairs.body_a, pairs.body_b, now.points_a, now.points_b, now.normals, ends
+        )
+        coming = _Listed(
+            ahead.pair_begin, pairs_ahead.body_a, pairs_ahead.body_b, ahead.points_a, ahead.points_b, ahead.normals,
+            pairs_ahead.rest_gaps,
+        )  # fmt: skip
+        touches = _touches(touching, is_chosen, coming, states.centers, is_round, searched is not None)
         shares = shares_until_touch(touches, motion, shares, searched is not None, is_round)
     if searched is not None:
         shares = shares_side_by_side(shares, motion, searched, boxes, spare)
     return shares
 
 
-def _shares_as_searched(
-    pairs: BodyPairs, course: Course, reach: np.ndarray, spare: np.ndarray, spare_of_pairs: np.ndarray,
-    time_step: float,
-) -> np.ndarray:  # fmt: skip
+class Deviation(NamedTuple):
+    """Of n bodies from the paths that the service has searched."""
+
+    searched: np.ndarray  # (n, 6), see Course
+    falls: np.ndarray  # (n, 3)
+    is_expected: np.ndarray  # (n,) bool
+    reach: np.ndarray  # (n,) [m] from their centres to their corners
+    spare: np.ndarray  # (n,) [m] by which they may deviate
+
+
+@cached_njit
+def _shares_as_searched(body_a, body_b, near, motion, deviation):
     """(n,) share of their course for which bodies may move along another path than the searched one.
 
-    No point of two touching bodies deviates from that path by more than `spare_of_pairs` (p,) [m], and none of a body
-    whose path was an expected one by more than EXPECTED of its `spare` (n,) [m]. Other paths are those of free fall:
-    what contacts bear of a weight counts as no deviation, or bodies at rest on another that slide along it would be
-    held back.
+    No point of two touching bodies deviates from that path by more than what the two may, near (p,) [m] being the
+    `ahead_gap` of each pair, and none of a body whose path was an expected one by more than EXPECTED of its `spare`.
+    Other paths are those of free fall: what contacts bear of a weight counts as no deviation, or bodies at rest on
+    another that slide along it would be held back.
     """
-    change, falls = course.moves - course.searched, course.falls
-    # A surface with normal n bears -(n . f) n of a weight f, a vector in the ball whose diameter is -f.
-    linear = np.maximum(lengths(change[:, :3] + 0.5 * falls) - 0.5 * lengths(falls), 0.0)
-    astray = np.append(time_step * (linear + reach * lengths(change[:, 3:])), 0.0)
-    share = spare_of_pairs / np.maximum(astray[pairs.body_a] + astray[pairs.body_b], spare_of_pairs)
-    most = np.where(course.is_expected, EXPECTED * spare, np.inf)
-    shares = np.append(1.0 / np.maximum(astray[:-1] / most, 1.0), 1.0)
-    np.minimum.at(shares, pairs.body_a, share)
-    np.minimum.at(shares, pairs.body_b, share)
-    return shares[:-1]
+    searched, falls, is_expected, reach, spare = deviation
+    n, h = len(searched), motion.time_step
+    astray, shares = np.zeros(n + 1), np.ones(n + 1)
+    for i in range(n):
+        u, v, fall = motion.velocities[i], searched[i], falls[i]
+        # A surface with normal n bears -(n . f) n of a weight f, a vector in the ball whose diameter is -f.
+        half = 0.5 * length(fall[0], fall[1], fall[2])
+        change = length(u[0] - v[0] + 0.5 * fall[0], u[1] - v[1] + 0.5 * fall[1], u[2] - v[2] + 0.5 * fall[2])
+        turn = length(u[3] - v[3], u[4] - v[4], u[5] - v[5])
+        astray[i] = h * (max(change - half, 0.0) + reach[i] * turn)
+        if is_expected[i]:
+            shares[i] = 1.0 / max(astray[i] / (EXPECTED * spare[i]), 1.0)
+    for pair in range(len(body_a)):
+        a, b = body_a[pair], body_b[pair]
+        # What cannot move may be smaller than what touches it.
+        least = MOST_SPARE * near[pair]
+        for body in (a, b):
+            if body < n:
+                least = min(least, spare[body])
+        share = least / max(astray[a] + astray[b], least)
+        shares[a], shares[b] = min(shares[a], share), min(shares[b], share)
+    return shares[:n]
 
 
-def _turns_far(pairs: BodyPairs, velocities: np.ndarray, time_step: float) -> np.ndarray:
-    """(p,) pairs in which a body turns far in a step."""
-    turns = np.append(lengths(velocities[:, 3:]) * time_step > FAR_TURN, False)
-    return turns[pairs.body_a] | turns[pairs.body_b]
+@cached_njit
+def _turns_far(body_a, body_b, velocities, time_step):
+    """(p,) bool: pairs in which a body turns far in a step."""
+    far = np.zeros(len(body_a), np.bool_)
+    for pair in range(len(body_a)):
+        for body in (body_a[pair], body_b[pair]):
+            far[pair] |= _spin(body, velocities) * time_step > FAR_TURN
+    return far
 
 
-def _goes_astray(
-    pairs: BodyPairs, velocities: np.ndarray, reach: np.ndarray, most: np.ndarray, time_step: float
-) -> np.ndarray:
-    """(p,) pairs in which turning or sliding may carry a point more than `most` (p,) [m] off its straight path."""
-    v = np.vstack((velocities, np.zeros(6)))
-    turns = time_step * lengths(v[:, 3:])
-    turning = turns * np.append(reach, 0.0)
-    a, b = pairs.body_a, pairs.body_b
-    ways = time_step * lengths(v[a, :3] - v[b, :3]) + turning[a] + turning[b]
-    return (turns[a] + turns[b]) * ways > most
+@cached_njit
+def _goes_astray(body_a, body_b, velocities, reach, most, time_step):
+    """(p,) bool: where turning or sliding may carry a point more than `most` (p,) [m] off its straight path."""
+    astray = np.zeros(len(body_a), np.bool_)
+    for pair in range(len(body_a)):
+        a, b = body_a[pair], body_b[pair]
+        p, q = _linear(a, velocities), _linear(b, velocities)
+        turn_a, turn_b = time_step * _spin(a, velocities), time_step * _spin(b, velocities)
+        way = time_step * length(p[0] - q[0], p[1] - q[1], p[2] - q[2])
+        if a < len(velocities):
+            way += turn_a * reach[a]
+        if b < len(velocities):
+            way += turn_b * reach[b]
+        astray[pair] = (turn_a + turn_b) * way > most[pair]
+    return astray
 
 
-def _touching(
-    contacts: ContactConstraintArray, pairs: BodyPairs, chosen: np.ndarray, settings: SolverSettings, deeper: float
-) -> Touches | None:
-    """The contacts of the `chosen` (p,) pairs; None without any.
+class _Listed(NamedTuple):
+    """Contacts (N,) of p pairs, which end the motion of their bodies at the gaps `least` (N,) [m]."""
+
+    begin: np.ndarray  # (p + 1,)
+    body_a: np.ndarray  # (p,) int64
+    body_b: np.ndarray
+    points_a: np.ndarray  # (N, 3) [m]
+    points_b: np.ndarray
+    normals: np.ndarray
+    least: np.ndarray
+
+
+@cached_njit
+def _least_gaps(begin, gaps, rest_gaps, ahead_gaps, deeper):
+    """(N,) [m] the gaps at which contacts of touching bodies end the motion; rest_gaps, ahead_gaps (p,) [m].
 
     deeper: a contact as deep as `ahead_gap` deepens by no more than this share of it.
     """
-    if not chosen.any():
-        return None
-    repeat: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
-    body_a, body_b, sizes, chosen = (
-        np.repeat(column, repeat) for column in (pairs.body_a, pairs.body_b, pairs.sizes, chosen)
-    )
-    columns = (contacts.points_a, contacts.points_b, contacts.normals)
-    points_a, points_b, normals = (column[chosen] for column in columns)
-    rest_gap, ahead_gap = settings.rest_gap * sizes[chosen], settings.ahead_gap * sizes[chosen]
-    gaps = np.minimum(contacts.gaps[chosen], rest_gap)
-    most = np.maximum(ahead_gap + (gaps - rest_gap), deeper * ahead_gap)
-    return Touches(body_a[chosen], body_b[chosen], points_a, points_b, normals, gaps - most)
+    least = np.empty(len(gaps))
+    for pair in range(len(begin) - 1):
+        for c in range(begin[pair], begin[pair + 1]):
+            gap = min(gaps[c], rest_gaps[pair])
+            least[c] = gap - max(ahead_gaps[pair] + (gap - rest_gaps[pair]), deeper * ahead_gaps[pair])
+    return least
 
 
-def _by_middles_of_spheres(touches: Touches, centers: np.ndarray, is_round: np.ndarray) -> Touches:
-    """The touches with each contact point of a sphere replaced by its centre.
+@cached_njit
+def _touches(now, chosen, ahead, centers, is_round, has_middles):
+    """The contacts of the `chosen` (p,) pairs of `now`, and all `ahead`, as Touches.
 
-    The centre stays a radius away from what the sphere touches, whichever point touches.
+    has_middles: the contact point of a sphere is replaced by its centre, which stays a radius away from what the sphere
+    touches, whichever point touches.
     """
-    points, least = [], touches.least
-    for body, at, sign in ((touches.body_a, touches.points_a, 1.0), (touches.body_b, touches.points_b, -1.0)):
-        middles = np.where(is_round[body, None], np.vstack((centers, np.zeros(3)))[body], at)
-        least = least + sign * dots(touches.normals, at - middles)
-        points.append(middles)
-    return touches._replace(points_a=points[0], points_b=points[1], least=least)
+    count = len(ahead.least)
+    for pair in range(len(chosen)):
+        if chosen[pair]:
+            count += now.begin[pair + 1] - now.begin[pair]
+    touches = Touches(
+        np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 3)), np.empty((count, 3)),
+        np.empty((count, 3)), np.empty(count),
+    )  # fmt: skip
+    end = 0
+    for pair in range(len(chosen)):
+        if chosen[pair]:
+            end = _append(now, pair, centers, is_round, has_middles, touches, end)
+    for pair in range(len(ahead.body_a)):
+        end = _append(ahead, pair, centers, is_round, has_middles, touches, end)
+    return touches
+
+
+@cached_njit
+def _append(listed, pair, centers, is_round, has_middles, touches, end):
+    for c in range(listed.begin[pair], listed.begin[pair + 1]):
+        touches.body_a[end], touches.body_b[end] = listed.body_a[pair], listed.body_b[pair]
+        least, normal = listed.least[c], listed.normals[c]
+        touches.points_a[end], touches.points_b[end], touches.normals[end] = (
+            listed.points_a[c], listed.points_b[c], normal
+        )  # fmt: skip
+        for body, points, sign in (
+            (listed.body_a[pair], touches.points_a, 1.0), (listed.body_b[pair], touches.points_b, -1.0)
+        ):  # fmt: skip
+            if has_middles and is_round[body]:
+                at, middle = points[end], centers[body]
+                least += sign * (
+                    normal[0] * (at[0] - middle[0]) + normal[1] * (at[1] - middle[1]) + normal[2] * (at[2] - middle[2])
+                )
+                points[end] = middle
+        touches.least[end] = least
+        end += 1
+    return end
 
 
 @cached_njit
@@ -316,6 +399,13 @@ def _spin(body, velocities):
         return 0.0
     u = velocities[body]
     return length(u[3], u[4], u[5])
+
+
+@uncounted
+def _linear(body, velocities):
+    if body == len(velocities):
+        return 0.0, 0.0, 0.0
+    return velocities[body, 0], velocities[body, 1], velocities[body, 2]
 
 
 @uncounted
