@@ -343,9 +343,10 @@ def first_difference(run: Run, question: Question, answer: bytes) -> Difference:
         if not isinstance(one, np.ndarray):
             if one != other:
                 return Difference(*at, name, None, None, str(one), str(other))
-        elif len(one) != len(other):
-            return Difference(*at, name, None, None, f"{len(one)} numbers", f"{len(other)}")
+        elif one.size != other.size:
+            return Difference(*at, name, None, None, f"{one.size} numbers", f"{other.size}")
         elif one.tobytes() != other.tobytes():
+            one, other = one.reshape(-1), other.reshape(-1)  # as in the message
             bits = np.dtype(f"u{one.itemsize}")
             index = int(np.flatnonzero(one.view(bits) != other.view(bits))[0])
             pair = _pair_of(recorded.record, name, index)

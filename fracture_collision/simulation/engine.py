@@ -320,12 +320,13 @@ def free_velocities(velocities, inertias, gravity, spans):
 
 
 @cached_njit
-def mean_spins(before, after, inertias, spans):
+def mean_spins(velocities, free, inertias, spans):
     """Constant spins (n, 3) [rad/s] that turn free bodies within `spans` (n,) [s] so that momentum keeps its direction.
 
-    before, after (n, 3) [rad/s]: their spins, see free_velocities. It is the mean of both, corrected by the least turn
-    that brings the momentum after the step to that before.
+    velocities, free (n, 6): before and after, see free_velocities. It is the mean of both spins, corrected by the least
+    turn that brings the momentum after the step to that before.
     """
+    before, after = velocities[:, 3:], free[:, 3:]
     middles = 0.5 * (before + after)
     turns = turns_of(spans.reshape(-1, 1) * middles, 1.0)
     rotations = rotation_matrices(turns)
@@ -341,7 +342,7 @@ def mean_spins(before, after, inertias, spans):
         align[i, 0], align[i, 1], align[i, 2] = axis[0] / length, axis[1] / length, axis[2] / length
         align[i, 3] = w / length
     combined = quaternion_products(align, turns)
-    spins = np.empty_like(before)
+    spins = np.empty_like(middles)
     for i in range(len(before)):
         middle = _row(middles, i)
         x, y, z = _rotation_vector(combined[i])

@@ -398,7 +398,7 @@ class Simulation:
         free = free_velocities(velocities, states.inertias, self._scene.gravity, spans)
         asleep = ByFragment(self._rest.fragment_ids, self._rest.asleep).of(ids)
         linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
-        angular = mean_spins(velocities[:, 3:], free[:, 3:], states.inertias, spans)
+        angular = mean_spins(velocities, free, states.inertias, spans)
         known = self._expected.velocities
         if len(known.fragment_ids):
             moves, is_known = known.of(ids), known.have(ids)[:, None]
@@ -435,7 +435,7 @@ class Simulation:
             sums_of_bodies(impulses, contacts, pairs, len(spans)) > 0.0
             for impulses in (solution.normal_impulses, solution.pressing)
         )
-        turned = mean_spins(before[:, 3:], free[:, 3:], bodies.inertias, spans) - free[:, 3:]
+        turned = mean_spins(before, free, bodies.inertias, spans) - free[:, 3:]
         fallen = -0.5 * spans[:, None] * gravity
         work = 0.5 * bodies.masses * spans * spans * float((gravity * gravity).sum())  # [J] by which they rise
         if hit.any() and work.any():

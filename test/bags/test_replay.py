@@ -104,8 +104,8 @@ def test_a_flipped_byte_is_found_and_located(bag: Path, tmp_path: Path, digest: 
     arrays = {name: value for name, value in contacts._asdict().items() if isinstance(value, np.ndarray)}
     assert len(arrays) == 11
     for name, array in arrays.items():
-        index = len(array) // 2
-        flipped = array.copy()
+        index = array.size // 2  # in the flat array of the message
+        flipped, array = array.reshape(-1).copy(), array.reshape(-1)
         flipped.view(np.uint8)[index * array.itemsize] ^= 1
         data = serialize_record(contacts._replace(**{name: flipped}), heading_, run_id)
         assert sum(a != b for a, b in zip(data, message.data, strict=True)) == 1

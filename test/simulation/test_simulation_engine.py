@@ -64,7 +64,9 @@ def test_the_spin_of_a_body_that_hardly_turns_is_a_number(spin: float) -> None:
     """Squares of squares of it are not."""
     before = np.array([[spin, 2.0 * spin, -spin]])
     after = before * 1.001
-    found = mean_spins(before, after, np.diag([1e-3, 2e-3, 3e-3])[None], np.full(1, STEP))
+    still = np.zeros((1, 3))
+    velocities, free = np.hstack((still, before)), np.hstack((still, after))
+    found = mean_spins(velocities, free, np.diag([1e-3, 2e-3, 3e-3])[None], np.full(1, STEP))
     np.testing.assert_allclose(found, before, rtol=0.01, atol=1e-12)  # [rad/s] rounding of the turn
 
 
