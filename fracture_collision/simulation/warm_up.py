@@ -14,11 +14,12 @@ from fracture_collision.simulation.scene.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 
 MATERIAL = {"density": 1000.0, "friction": 0.5, "restitution": 0.5, "rolling_arm": 1e-3}
+TIME_STEP = 0.01  # [s]
 SCENE = {
     "seed": 0,
     "gravity": [0.0, 0.0, -9.81],
-    "time_step": 0.01,
-    "duration": 0.02,
+    "time_step": TIME_STEP,
+    "duration": 2 * TIME_STEP,
     "materials": {"rubber": MATERIAL},
     "bodies": [
         {"name": "ground", "material": "rubber", "static": True, "shape": {"plane": {"coefficients": [0, 0, 1, 0]}}},
@@ -35,7 +36,7 @@ def compile_kernels(progress: Callable[[str], None]) -> None:
         try:
             while not simulation.finished:
                 step = simulation.begin_step().states.step
-                simulation.finish_step(_touching(step, SCENE["time_step"] if looks_ahead else 0.0), _registry())
+                simulation.finish_step(_touching(step, TIME_STEP if looks_ahead else 0.0), _registry())
         finally:
             simulation.close()
     progress("fracture patterns")
