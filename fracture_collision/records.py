@@ -72,11 +72,15 @@ def _read_only(default: np.ndarray) -> np.ndarray:
 
 @documented
 class SolidPrimitive(NamedTuple):
-    """A box or a sphere about the origin of the body frame (shape_msgs/SolidPrimitive).
+    """A solid about the origin of the body frame, its axis along z (shape_msgs/SolidPrimitive).
+
+    Cylinders and cones are searched as polyhedra that differ from them by less than 0.04 % of the radius
+    (geometry/round_solids.py).
 
     Fields:
-      type: BOX (1), SPHERE (2), or 0: none
-      dimensions: [m] of a BOX its edge lengths (x, y, z), of a SPHERE its (radius,)
+      type: BOX (1), SPHERE (2), CYLINDER (3), CONE (4), or 0: none
+      dimensions: [m] of a BOX its edge lengths (x, y, z), of a SPHERE its (radius,), of a CYLINDER or CONE its
+        (height, radius); the tip of a cone is up, its origin half-way
     """
 
     type: int = 0
@@ -85,6 +89,8 @@ class SolidPrimitive(NamedTuple):
 
 BOX = 1
 SPHERE = 2
+CYLINDER = 3
+CONE = 4
 
 
 @documented
@@ -100,7 +106,7 @@ class CollisionBody(NamedTuple):
         used again
       operation: ADD (0), or REMOVE (1): a promise that no later states name the body
       name: up to 256 characters, for viewers and logs
-      primitive: a box or sphere; type 0: none
+      primitive: a box, sphere, cylinder or cone; type 0: none
       plane: (4,) float64 a, b, c, d: the half-space a x + b y + c z + d < 0 [m] is solid; all 0: none. The body must be
         static
       vertices: (n, 3) float64 [m], body frame; each is used by a tetrahedron or triangle

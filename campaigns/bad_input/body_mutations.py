@@ -22,7 +22,7 @@ from campaigns.bad_input.mutations import (
     value_mutations,
 )
 from fracture_collision.geometry.generators import brick
-from fracture_collision.records import BOX, REMOVE, SPHERE, SolidPrimitive
+from fracture_collision.records import BOX, CONE, CYLINDER, REMOVE, SPHERE, SolidPrimitive
 
 SPHERE_BODY, BOX_BODY, PLANE_BODY = sphere(20), box(20), plane(20)
 SHAPES = (TET, TRI, SPHERE_BODY, BOX_BODY, PLANE_BODY)
@@ -73,7 +73,7 @@ def _primitive(kinds: str, what: str, *values: Any, fields: tuple = ("primitive.
 
 
 PRIMITIVES = [
-    _primitive("out_of_range", "of another type", *(SolidPrimitive(t, (1.0, 1.0)) for t in (3, 4, 5, 6, 255)),
+    _primitive("out_of_range", "of another type", *(SolidPrimitive(t, (1.0, 1.0)) for t in (5, 6, 255)),
                fields=("primitive.type",)),
     _primitive("size_mismatch", "of too few dimensions", SolidPrimitive(BOX, (1.0, 1.0)), SolidPrimitive(BOX, ()),
                SolidPrimitive(SPHERE, ()), SolidPrimitive(BOX, (1.0,))),
@@ -84,7 +84,8 @@ PRIMITIVES = [
     _primitive("out_of_range", "huge", *(SolidPrimitive(BOX, (1.0, x, 1.0)) for x in (1e308, 1e10, -1e308))),
     _primitive("out_of_range", "too small",
                *(SolidPrimitive(SPHERE, (x,)) for x in (0.0, -1.0, 1e-320, 1e-7, -1e-320))),
-    _primitive("", "a legal one", SolidPrimitive(SPHERE, (1e-6,)), SolidPrimitive(BOX, (1e9, 1e-6, 1.0))),
+    _primitive("", "a legal one", SolidPrimitive(SPHERE, (1e-6,)), SolidPrimitive(BOX, (1e9, 1e-6, 1.0)),
+               SolidPrimitive(CYLINDER, (1.0, 0.5)), SolidPrimitive(CONE, (1.0, 0.5))),
     _primitive("no_shape", "of no type", SolidPrimitive(0, ()), SolidPrimitive(0, (1.0,)), fields=NO_SHAPE_FIELDS),
     _primitive("wrong_type", "of wrong types", SolidPrimitive(SPHERE, "abc"), SolidPrimitive("BOX", (1.0,)), None, 3,
                SolidPrimitive(1.0, (1.0,)), fields=("primitive.dimensions", "primitive.type"), wire=False),

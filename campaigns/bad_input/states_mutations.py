@@ -54,16 +54,17 @@ def _fewer(record: Any, pick: Pick) -> Any:
     """Only some of the fragments: the others do not take part."""
     kept = np.array([pick(2) == 1 for _ in record.fragment_ids])
     return record._replace(
-        fragment_ids=record.fragment_ids[kept], positions=record.positions[np.repeat(kept, 3)],
-        orientations=record.orientations[np.repeat(kept, 4)], linear_velocities=np.zeros(0),
-        angular_velocities=np.zeros(0),
+        fragment_ids=record.fragment_ids[kept], positions=np.reshape(record.positions, (-1, 3))[kept],
+        orientations=np.reshape(record.orientations, (-1, 4))[kept], linear_velocities=np.zeros((0, 3)),
+        angular_velocities=np.zeros((0, 3)),
     )  # fmt: skip
 
 
 def _moved(*lengths: float):
     def change(record: Any, pick: Pick) -> Any:
         length = one_of(lengths, pick)
-        return record._replace(positions=np.array([length * (pick(2**20) / 2**19 - 1.0) for _ in record.positions]))
+        places = [length * (pick(2**20) / 2**19 - 1.0) for _ in range(np.size(record.positions))]
+        return record._replace(positions=np.reshape(places, (-1, 3)))
 
     return change
 

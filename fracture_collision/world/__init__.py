@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from fracture_collision.records import (
     BOX,
+    CONE,
+    CYLINDER,
     SPHERE,
     CollisionBody,
     ContactConstraintArray,
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BOX",
+    "CONE",
+    "CYLINDER",
     "SPHERE",
     "CollisionBody",
     "CollisionWorld",

@@ -109,7 +109,7 @@ def test_masses_equal_those_of_trimesh(shape: RigidShape) -> None:
     registry = _world_of(shape, density=900.0).fragments()
     assert registry.masses[0] == pytest.approx(theirs.mass, rel=1e-12)
     assert np.allclose(registry.centers_of_mass, theirs.center_mass, atol=1e-12)
-    xx, xy, xz, yy, yz, zz = registry.inertias
+    xx, xy, xz, yy, yz, zz = registry.inertias[0]
     assert np.allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], theirs.moment_inertia, atol=1e-9)
 
 

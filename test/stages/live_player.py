@@ -62,7 +62,7 @@ class Player:
     def place(self, fragment_id: int) -> np.ndarray:
         """Position [m] of its body frame."""
         row = list(self.states[-1].fragment_ids).index(fragment_id)
-        return np.array(self.states[-1].positions[row])
+        return np.reshape(self.states[-1].positions, (-1, 3))[row]
 
     def newest_ids(self) -> set[int]:
         return set(self.states[-1].fragment_ids)

@@ -31,7 +31,7 @@ class Begun:
 
     @property
     def text(self) -> str:
-        return self._said.read_text()
+        return self._said.read_text(errors="replace")  # it may end within a character
 
     def until(self, condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE

@@ -94,7 +94,7 @@ EVENTS = {
     r"cut_planes: entry 0 does not cross .* is -?\S+ m at node \d+ \(needed: at most 0\) and \S+ m at node": TURNED,
     r"cut_planes: the normal of entry 0 is of length 2, not 1; divide the four numbers by it": LONG,
     r"cut_edges: \d+-\d+ joins two of the new fragments but is not cut; list it": EVENT._replace(
-        cut_edges=EVENT.cut_edges[2:], cut_planes=EVENT.cut_planes[4:]
+        cut_edges=EVENT.cut_edges[1:], cut_planes=EVENT.cut_planes[1:]
     ),
     r"new_fragment_ids: fragment 1 already exists .* those above 1 are free": EVENT._replace(new_fragment_ids=[1, 2]),
     r"new_fragment_ids: 5 occurs more than once; list each once": EVENT._replace(new_fragment_ids=[5, 5]),

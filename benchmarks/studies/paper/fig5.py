@@ -65,7 +65,8 @@ def roll(duration: float, tolerance: float, contacts: int) -> Roll:
         for exchange in run:
             row = int(np.flatnonzero(exchange.registry.fragment_ids == exchange.states.fragment_ids[0])[0])
             own = exchange.registry.centers_of_mass[row]
-            center = exchange.states.positions + Rotation.from_quat(exchange.states.orientations).apply(own)
+            turn = Rotation.from_quat(exchange.states.orientations[0])
+            center = exchange.states.positions[0] + turn.apply(own)
             report = exchange.report
             rows.append((
                 *center, report.kinetic_energy + report.potential_energy, report.contacts, run.world.last_visits,

@@ -1,4 +1,4 @@
-"""Shapes of a scene's bodies, by kind: planes, boxes and spheres as primitives, all others as tetrahedral meshes.
+"""Shapes of a scene's bodies, by kind: primitives, capsules as triangles, all others as tetrahedral meshes.
 
 A kind's fields are the arguments of the function that makes its mesh, under the same names.
 """
@@ -9,11 +9,11 @@ import inspect
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fracture_collision.geometry import generators, sampled_bodies, stored_meshes
+from fracture_collision.geometry import generators, round_solids, sampled_bodies, stored_meshes
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.vase import vase
 from fracture_collision.portable_math import lengths
@@ -33,6 +33,12 @@ MESHES: dict[str, Callable[..., TetGeometry]] = {
     "piggy_bank": generators.piggy_bank,
     "stored_mesh": stored_meshes.stored_mesh,
     "vase": vase,
+}
+# Rigid.
+SURFACES: dict[str, Callable[..., tuple[np.ndarray, np.ndarray]]] = {
+    "cylinder": round_solids.cylinder,
+    "cone": round_solids.cone,
+    "capsule": round_solids.capsule,
 }
 # What the fields of shapes mean; checked by the functions that make the meshes.
 WORDS = {
@@ -69,10 +75,12 @@ LIMITS = {
     "2 numbers": "more than 0", "rim_height": "at least 0", "inner_radius": "at least 0, less than outer_radius",
     "interior_points": "at least 0", "inner_frequency": "at least 0",
 }  # fmt: skip
-KINDS = ("plane", "box", "sphere", *MESHES)
+KINDS = ("plane", "box", "sphere", *SURFACES, *MESHES)
 _PRIMITIVES = {"plane": "a half-space", "box": "a box about the origin", "sphere": "a sphere about the origin"}
 # Each kind with the first sentence of what makes it.
-SHAPES = _PRIMITIVES | {kind: (make.__doc__ or "").split("\n\n")[0] for kind, make in MESHES.items()}
+SHAPES = _PRIMITIVES | {
+    kind: (make.__doc__ or "").split("\n\n")[0].split(": vertices")[0] for kind, make in (SURFACES | MESHES).items()
+}
 
 
 class Shape(NamedTuple):
@@ -80,14 +88,16 @@ class Shape(NamedTuple):
 
     kind: str  # one of KINDS
     plane: tuple[float, ...] = ()  # a, b, c, d: solid where a x + b y + c z + d < 0
-    size: tuple[float, ...] = ()  # of a box, edge lengths [m]
+    size: tuple[float, ...] = ()  # [m] of a box its edge lengths, of one of SURFACES what makes it
     radius: float = 0.0  # of a sphere [m]
     mesh: TetGeometry | None = None  # of one of MESHES
+    surface: tuple[np.ndarray, np.ndarray] | None = None  # of one of SURFACES: vertices (n, 3) [m], triangles (t, 3)
 
     def half_length(self) -> float:
         """R [m], as the service has it: half the longest side of the box about the body; inf for a plane."""
-        if self.mesh is not None:
-            return 0.5 * float(np.ptp(self.mesh.vertices, axis=0).max())
+        vertices = self.mesh.vertices if self.mesh is not None else self.surface and self.surface[0]
+        if vertices is not None:
+            return 0.5 * float(np.ptp(vertices, axis=0).max())
         return math.inf if self.kind == "plane" else max(0.5 * max(self.size, default=0.0), self.radius)
 
 
@@ -111,6 +121,12 @@ def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | N
         shape = Shape(kind, size=tuple(map(float, size)))
     elif kind == "sphere":
         shape = Shape(kind, radius=part.number("radius", WORDS["radius"], above=0.0))
+    elif kind in SURFACES:
+        arguments = _arguments(kind, SURFACES[kind], part)
+        try:
+            shape = Shape(kind, size=tuple(arguments.values()), surface=SURFACES[kind](**arguments))
+        except (ValueError, TypeError) as error:
+            raise SceneError(f"{part.name('')}{error}") from error
     else:
         shape = Shape(kind, mesh=_mesh(kind, part, made, folder))
     part.finish()
@@ -119,12 +135,7 @@ def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | N
 
 def _mesh(kind: str, fields: Fields, made: dict[tuple, TetGeometry], folder: Path | None) -> TetGeometry:
     make = MESHES[kind]
-    arguments = {}
-    for key, parameter in inspect.signature(make).parameters.items():
-        default = ... if parameter.default is inspect.Parameter.empty else parameter.default
-        kind_of_value = ARGUMENTS[str(parameter.annotation)]
-        value = fields.take(key, WORDS[key], default, kind_of_value, LIMITS.get(key, LIMITS[kind_of_value]))
-        arguments[key] = tuple(value) if isinstance(value, list) else value
+    arguments = _arguments(kind, make, fields)
     if kind == "stored_mesh" and isinstance(arguments["file"], str):
         arguments["file"] = str((folder or Path()) / arguments["file"])
     mesh = (kind, *arguments.values())
@@ -134,3 +145,14 @@ def _mesh(kind: str, fields: Fields, made: dict[tuple, TetGeometry], folder: Pat
     except (ValueError, TypeError) as error:
         raise SceneError(f"{fields.name('')}{error}") from error
     return made[mesh]
+
+
+def _arguments(kind: str, make: Callable[..., object], fields: Fields) -> dict[str, Any]:
+    """The fields that `make` takes as arguments, by their names."""
+    arguments: dict[str, Any] = {}
+    for key, parameter in inspect.signature(make).parameters.items():
+        default = ... if parameter.default is inspect.Parameter.empty else parameter.default
+        kind_of_value = ARGUMENTS[str(parameter.annotation)]
+        value = fields.take(key, WORDS[key], default, kind_of_value, LIMITS.get(key, LIMITS[kind_of_value]))
+        arguments[key] = tuple(value) if isinstance(value, list) else value
+    return arguments

@@ -16,7 +16,7 @@ import numpy as np
 from fracture_collision.fracture.pattern import PatternSettings
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.near_names import did_you_mean
-from fracture_collision.records import BOX, SPHERE, CollisionBody, SolidPrimitive, documented
+from fracture_collision.records import BOX, CONE, CYLINDER, SPHERE, CollisionBody, SolidPrimitive, documented
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
 from fracture_collision.simulation.actors.hand import Hand, parse_hand
@@ -288,6 +288,9 @@ def _body(
     return body
 
 
+PRIMITIVES = {"box": BOX, "cylinder": CYLINDER, "cone": CONE}  # with their sizes as dimensions
+
+
 def collision_body(body_id: int, body: SceneBody) -> CollisionBody:
     """`body` as CollisionBody; its one fragment has the same number as the body."""
     shape, material = body.shape, body.material
@@ -302,10 +305,13 @@ def collision_body(body_id: int, body: SceneBody) -> CollisionBody:
     )
     if shape.kind == "plane":
         return record._replace(plane=np.array(shape.plane))
-    if shape.kind == "box":
-        return record._replace(primitive=SolidPrimitive(BOX, shape.size))
     if shape.kind == "sphere":
         return record._replace(primitive=SolidPrimitive(SPHERE, (shape.radius,)))
+    if shape.kind in PRIMITIVES:
+        return record._replace(primitive=SolidPrimitive(PRIMITIVES[shape.kind], shape.size))
+    if shape.surface is not None:
+        vertices, triangles = shape.surface
+        return record._replace(vertices=vertices, triangles=triangles)
     assert shape.mesh is not None  # as in every shape of another kind
     return record._replace(
         vertices=shape.mesh.vertices, tetrahedra=shape.mesh.tetrahedra.astype(np.uint32)

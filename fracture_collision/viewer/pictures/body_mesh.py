@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracture_collision.geometry.generators import brick, shell
+from fracture_collision.geometry.round_solids import BY_PRIMITIVE
 from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.geometry.unique_rows import unique_rows
 from fracture_collision.records import BOX, SPHERE, CollisionBody, FragmentMesh
@@ -44,6 +45,8 @@ def mesh_of_body(body: CollisionBody) -> BodyMesh:
         x, y, z = body.primitive.dimensions
         box = brick((x, y, z), 2.0 * max(x, y, z))
         return BodyMesh(box.vertices, boundary_triangles(box.tetrahedra))
+    if body.primitive.type in BY_PRIMITIVE:
+        return BodyMesh(*BY_PRIMITIVE[body.primitive.type](*body.primitive.dimensions))
     triangles = body.triangles.reshape(-1, 3)
     if not len(triangles):
         triangles = boundary_triangles(body.tetrahedra.reshape(-1, 4).astype(np.int64))

@@ -16,6 +16,7 @@ from fracture_collision.core.bodies.prepared import (
 )
 from fracture_collision.core.mesh.connected_pieces import connected_pieces
 from fracture_collision.core.mesh.tet_mesh import build_tet_mesh
+from fracture_collision.geometry.round_solids import BY_PRIMITIVE
 from fracture_collision.geometry.tetrahedra import (
     FACE_VERTICES,
     boundary_triangles,
@@ -23,7 +24,7 @@ from fracture_collision.geometry.tetrahedra import (
     unique_edges,
 )
 from fracture_collision.portable_math import lengths
-from fracture_collision.records import BOX, SPHERE, CollisionBody
+from fracture_collision.records import BOX, CONE, CYLINDER, SPHERE, CollisionBody
 from fracture_collision.world.gates.checks import (
     LARGEST_LENGTH,
     SMALLEST_LENGTH,
@@ -41,7 +42,11 @@ FLAT_TETRAHEDRON = 1e-9
 MAX_NAME = 256
 MAX_DENSITY = 1e9  # [kg/m3] beyond all matter on Earth; keeps masses finite
 MAX_FRICTION = 1e6
-DIMENSIONS = {BOX: 3, SPHERE: 1}
+# Of a primitive.
+DIMENSIONS = {
+    BOX: "3, the lengths of the edges", SPHERE: "1, the radius", CYLINDER: "2, the height and the radius",
+    CONE: "2, the height and the radius",
+}  # fmt: skip
 SHAPE_FIELDS = "primitive, plane, vertices"
 
 
@@ -154,7 +159,16 @@ def check_body(fields: BodyFields, store: MeshStore, room_for_nodes: int) -> Che
         )
     sphere, box, half_space, mesh, surface = 0.0, None, None, None, None
     if fields.primitive:
-        sphere, box = _primitive(fields.primitive, fields.dimensions)
+        size = _dimensions(fields.primitive, fields.dimensions)
+        if fields.primitive == SPHERE:
+            sphere = float(size[0])
+        elif fields.primitive == BOX:
+            box = size / 2.0
+        else:
+            surface = store.prepared(
+                _key(b"primitive %d" % fields.primitive, size),
+                lambda: prepare_surface(*BY_PRIMITIVE[fields.primitive](*size.tolist())),
+            )
     elif not has_mesh:
         half_space = _half_space(fields.plane)
         if not fields.is_static:
@@ -199,15 +213,15 @@ def _half_space(plane: np.ndarray) -> np.ndarray:
     return np.append(normal / length, -plane[3] / largest / length)
 
 
-def _primitive(kind: int, dimensions: np.ndarray) -> tuple[float, np.ndarray | None]:
+def _dimensions(kind: int, dimensions: np.ndarray) -> np.ndarray:
     if kind not in DIMENSIONS:
-        refuse("out_of_range", f"primitive.type: {kind} is neither BOX (1) nor SPHERE (2)")
-    if len(dimensions) != DIMENSIONS[kind]:
-        needed = "1, the radius" if kind == SPHERE else "3, the lengths of the edges"
+        refuse("out_of_range", f"primitive.type: {kind} is none of BOX (1), SPHERE (2), CYLINDER (3) and CONE (4)")
+    needed = DIMENSIONS[kind]
+    if len(dimensions) != int(needed[0]):
         refuse("size_mismatch", f"primitive.dimensions: {len(dimensions)} numbers, not {needed}")
     if (dimensions < SMALLEST_LENGTH).any():
         refuse("out_of_range", f"primitive.dimensions: {dimensions.min()} is less than {SMALLEST_LENGTH:g} m")
-    return (float(dimensions[0]), None) if kind == SPHERE else (0.0, dimensions / 2.0)
+    return dimensions
 
 
 def _check_faces(tetrahedra: np.ndarray) -> None:
