@@ -29,12 +29,12 @@ def cone(height: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
     return _turned([(0.0, -0.5 * height), (radius, -0.5 * height), (0.0, 0.5 * height)])
 
 
-def capsule(length: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """What is within `radius` [m] of a segment of `length` [m] on z: vertices (n, 3) [m], triangles (t, 3)."""
-    require_positive(length=length, radius=radius)
-    angles = 0.5 * np.pi * np.arange(CAP_RINGS + 1) / CAP_RINGS
-    arc = list(zip((radius * cosine(angles)).tolist(), (radius * sine(angles) + 0.5 * length).tolist(), strict=True))
-    arc[-1] = (0.0, radius + 0.5 * length)
+def capsule(straight_length: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """What is within `radius` [m] of a segment on the z axis: vertices (n, 3) [m], triangles (t, 3)."""
+    require_positive(straight_length=straight_length, radius=radius)
+    angles, top = 0.5 * np.pi * np.arange(CAP_RINGS + 1) / CAP_RINGS, 0.5 * straight_length
+    arc = list(zip((radius * cosine(angles)).tolist(), (radius * sine(angles) + top).tolist(), strict=True))
+    arc[-1] = (0.0, radius + top)
     return _turned([*((x, -z) for x, z in reversed(arc)), *arc])
 
 

@@ -10,7 +10,7 @@ import yaml
 
 from benchmarks.snippets import DOCS, blocks
 from fracture_collision.simulation.config.scene_fields import Fields, SceneError, recorded
-from fracture_collision.simulation.config.shapes import KINDS, MESHES, parse_shape
+from fracture_collision.simulation.config.shapes import KINDS, MAKERS, parse_shape
 from fracture_collision.simulation.scene.scene import load_scene, parse_scene, scene_files
 from fracture_collision.simulation.scene.scene_reference import (
     EVERYTHING,
@@ -70,10 +70,10 @@ VALID = {"size_xyz": [1.0, 1.0, 1.0], "notch_xy": [0.5, 0.5], "inner_radius": 0.
          "inner_frequency": 2, "interior_points": 30, "layers": 2}  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", [kind for kind in MESHES if kind != "stored_mesh"])
+@pytest.mark.parametrize("kind", [kind for kind in MAKERS if kind != "stored_mesh"])
 def test_the_functions_of_shapes_keep_the_ranges_that_are_listed(kind: str) -> None:
     entries = shape_entries(kind)
-    assert [e.path for e in entries] == list(signature(MESHES[kind]).parameters)
+    assert [e.path for e in entries] == list(signature(MAKERS[kind]).parameters)
     fields = {e.path: VALID.get(e.path, 1.0) for e in entries}
     parse_shape(Fields({kind: fields}, "shape"), {})
     for entry in entries:

@@ -64,7 +64,7 @@ def test_dimensions_are_checked() -> None:
         ({"cylinder": {"height": 0.2, "radius": R}}, [0, 0, 0], 0.1),
         ({"cylinder": {"height": 0.2, "radius": R}}, [90, 0, 0], R),
         ({"cone": {"height": 0.2, "radius": R}}, [0, 0, 0], 0.1),
-        ({"capsule": {"length": 0.2, "radius": R}}, [90, 0, 0], R),
+        ({"capsule": {"straight_length": 0.2, "radius": R}}, [90, 0, 0], R),
     ],
 )
 def test_a_round_body_comes_to_rest_on_a_box(shape: dict, rotation: list, height: float) -> None:

@@ -40,6 +40,7 @@ SURFACES: dict[str, Callable[..., tuple[np.ndarray, np.ndarray]]] = {
     "cone": round_solids.cone,
     "capsule": round_solids.capsule,
 }
+MAKERS: dict[str, Callable[..., object]] = {**SURFACES, **MESHES}
 # What the fields of shapes mean; checked by the functions that make the meshes.
 WORDS = {
     "coefficients": "a, b, c, d [m]: solid where a x + b y + c z + d < 0; (a, b, c) of unit length",
@@ -65,6 +66,7 @@ WORDS = {
     "wall": "[m] thickness of the wall",
     "file": "name of a .npz file beside the scene, with arrays vertices [m] and tetrahedra",
     "height": "[m]",
+    "straight_length": "[m] between the centres of its two half balls",
 }
 ARGUMENTS = {
     "float": "number", "int": "whole number", "int | None": "whole number", "str": "text",
@@ -79,7 +81,7 @@ KINDS = ("plane", "box", "sphere", *SURFACES, *MESHES)
 _PRIMITIVES = {"plane": "a half-space", "box": "a box about the origin", "sphere": "a sphere about the origin"}
 # Each kind with the first sentence of what makes it.
 SHAPES = _PRIMITIVES | {
-    kind: (make.__doc__ or "").split("\n\n")[0].split(": vertices")[0] for kind, make in (SURFACES | MESHES).items()
+    kind: (make.__doc__ or "").split("\n\n")[0].split(": vertices")[0] for kind, make in MAKERS.items()
 }
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from fracture_collision.simulation.actors.arm import JOINTS
 from fracture_collision.simulation.config.scene_fields import Entry, Fields, SceneError, recorded
-from fracture_collision.simulation.config.shapes import KINDS, MESHES, SHAPES, parse_shape
+from fracture_collision.simulation.config.shapes import KINDS, MAKERS, SHAPES, parse_shape
 from fracture_collision.simulation.scene.scene import parse_scene
 
 NAME = "NAME"
@@ -59,7 +59,7 @@ def shape_entries(kind: str) -> list[Entry]:
     """The fields of one kind of shape, under their own names."""
     with recorded() as found:
         # A mesh is not made: what its function needs is there, but no number.
-        fields = dict.fromkeys(signature(MESHES[kind]).parameters) if kind in MESHES else PRIMITIVES[kind]
+        fields = dict.fromkeys(signature(MAKERS[kind]).parameters) if kind in MAKERS else PRIMITIVES[kind]
         with suppress(SceneError):
             parse_shape(Fields({kind: fields}, "shape"), {})
     prefix = f"shape.{kind}."
@@ -74,7 +74,7 @@ def reference(document: str) -> str:
         own = [e for e in entries if _parent(e.path) == prefix]
         parts.append(f"## {title}\n\n" + _table(own))
     parts.append(
-        "## shape\n\nA body has just one of these. All but the first three are meshes of tetrahedra, and can break.\n"
+        "## shape\n\nA body has just one of these. All but the first six are meshes of tetrahedra, and can break.\n"
     )
     for kind in KINDS:
         parts.append(f"### {kind}\n\n{_sentence(SHAPES[kind])}\n\n" + _table(shape_entries(kind)))
