@@ -40,7 +40,7 @@ from fracture_collision.core.memory.pools import (
     WORD,
 )
 from fracture_collision.core.memory.tables import Moves, Table, moves_of, moves_of_ranges
-from fracture_collision.core.mesh.occupancy import pyramid_words
+from fracture_collision.core.mesh.occupancy import ends_of_pyramids
 from fracture_collision.core.mesh.sample_numbers import EDGES, FIRST_EDGE, FIRST_NODE, FIRST_TETRAHEDRON, NODES
 from fracture_collision.core.patches.shapes import OF_ROWS
 
@@ -170,8 +170,7 @@ def _move_what_fragments_own(
         moves[name] = moves_of_ranges(tables.samples[column].used, *map(np.concatenate, zip(*spans, strict=True)))
     cells = np.concatenate([table["cells"].view[stays] for table, stays in owners[:2]])
     cells = cells[cells[:, 3] > 0]  # the others have no grid
-    words = cells[:, 6] + np.array([pyramid_words(row) for row in cells], np.int64)
-    moves[WORD] = moves_of_ranges(tables.occupancy.used, cells[:, 6], words)
+    moves[WORD] = moves_of_ranges(tables.occupancy.used, cells[:, 6], ends_of_pyramids(cells))
     moves[SEED_PAIR] = moves_of_ranges(tables.seeds["keys"].used, *tables.fragment["seeds"].view[bodies].T)
     seeds = tables.seeds["ranges"].view[moves[SEED_PAIR].stays]
     moves[SEED] = moves_of_ranges(tables.seeds["edges"].used, *seeds.T)

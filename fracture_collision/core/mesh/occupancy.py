@@ -158,6 +158,15 @@ def pyramid_words(cells):
         level += 1
 
 
+@kernel
+def ends_of_pyramids(cells):
+    """Where the words of fragments with cells (n, 7) end: (n,) int64."""
+    ends = np.empty(len(cells), np.int64)
+    for i in range(len(cells)):
+        ends[i] = cells[i, 6] + pyramid_words(cells[i])
+    return ends
+
+
 @query_kernel
 def _fill_pyramid(cells, occupancy):
     """Fill the levels above 0, bottom-up by OR."""
