@@ -23,9 +23,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]  # broken bodies live with the te
 matplotlib.use("Agg")
 
 from matplotlib import pyplot as plt  # noqa: E402
-from oracles.counted_flood import count_floods  # noqa: E402
 from worlds.fractured_worlds import FracturedWorld, fractured_world  # noqa: E402
 
+from benchmarks.counted_flood import count_floods  # noqa: E402
 from fracture_collision.core.field.flood import (  # noqa: E402
     EVERYTHING,
     least_distance_squared,

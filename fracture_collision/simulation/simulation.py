@@ -58,7 +58,6 @@ from fracture_collision.simulation.scene.scene import Fracture, Scene, SceneBody
 from fracture_collision.simulation.solver import contact_memory, sleep
 from fracture_collision.simulation.solver.contact_memory import rest_gaps_of, with_remembered
 from fracture_collision.simulation.solver.contact_solver import (
-    NO_WARM_START,
     Again,
     BodyPairs,
     RigidBodies,
@@ -72,6 +71,7 @@ from fracture_collision.simulation.solver.contact_solver import (
     sums_of_bodies,
 )
 from fracture_collision.simulation.solver.touch_ahead import Course, StepContacts, shares_of_step, split_by_gap
+from fracture_collision.simulation.solver.warm_start import NO_WARM_START
 from fracture_collision.simulation.step_records import LookaheadCheck, StepReport, StepRequest, fragment_states
 
 

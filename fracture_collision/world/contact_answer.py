@@ -9,6 +9,7 @@ import numpy as np
 from fracture_collision.core.memory.compiled import kernel
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.records import BUDGET_EXHAUSTED, ContactConstraintArray
+from fracture_collision.world.combined_friction import combined_friction, combined_restitution
 from fracture_collision.world.contact_ids import contact_ids
 from fracture_collision.world.gates.states_gate import CheckedStates
 from fracture_collision.world.present import Present
@@ -85,8 +86,8 @@ def _list_pairs(fragments, pairs, found, tolerance):
             continue
         i, j = pairs[p, 0], pairs[p, 1]
         a[k], b[k], missed[k] = ids[i], ids[j], bounds[p]
-        of_friction[k] = np.sqrt(friction[i] * friction[j])
-        of_restitution[k] = max(restitution[i], restitution[j])
+        of_friction[k] = combined_friction(friction[i], friction[j])
+        of_restitution[k] = combined_restitution(restitution[i], restitution[j])
         for _ in range(counts[p]):
             from_a = samples[contact, 0] == 0
             own[contact], other[contact] = (ids[i], ids[j]) if from_a else (ids[j], ids[i])

@@ -37,7 +37,7 @@ from fracture_collision.cdr import Heading
 from fracture_collision.records import FractureEvent
 from fracture_collision.replay import Order, Replay, settings_of
 from fracture_collision.ros.nodes import repeated_request
-from fracture_collision.ros.nodes.service_settings import ServiceSettings
+from fracture_collision.ros.nodes.settings_watcher import ServiceSettings
 from fracture_collision.ros.processes.node_process import free_domain_id
 from fracture_collision.ros.processes.own_context import own_context
 from fracture_collision.ros.runs.replay_run import OverDds

@@ -71,7 +71,7 @@ DELETE = object()
         (("bodies", 0, "shape", "plane", "coefficients"), [0, 0, 2, 0], r"plane.coefficients: the normal"),
         (("bodies", 1, "material"), "glass", r"bodies\[1\].material: 'glass' is none of stone"),
         (("bodies", 1, "name"), "ground", "bodies: the name 'ground' occurs 2 times"),
-        (("bodies", 1, "shape"), {"cone": {}}, r"bodies\[1\].shape: needs just one of"),
+        (("bodies", 1, "shape"), {"pyramid": {}}, r"bodies\[1\].shape: needs just one of"),
         (("bodies", 1, "shape"), {"sphere": {"radius": 0}}, r"bodies\[1\].shape.sphere.radius: needs more than 0"),
         (("bodies", 1, "shape", "brick", "edge_length"), -1.0, r"bodies\[1\].shape.brick.edge_length"),
         (("bodies", 1, "shape", "brick", "edge_length"), "x", r"bodies\[1\].shape.brick"),

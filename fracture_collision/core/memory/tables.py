@@ -61,23 +61,25 @@ class Column(NamedTuple):
     shape: tuple[int, ...] | None = None  # in which kernels see the values, if not (n, width)
     seen_in: str | None = None  # the name of the column whose memory it shares, seen as `type`
 
-    def concerned(self) -> list[str]:
-        """All that has rows and, if it moves, changes the column."""
-        if isinstance(self.of, Moved):
-            return [self.rows, *self.of.concerned]
-        of = (self.of,) if self.of is None or isinstance(self.of, str) else self.of
-        return [self.rows, *(name for name in of if name is not None)]
+    def references(self, values: np.ndarray) -> list[tuple[str, np.ndarray]]:
+        """What parts of `values` (n, width) are rows of, with views of these; empty for Moved."""
+        if self.of is None or isinstance(self.of, Moved):
+            return []
+        if isinstance(self.of, str):
+            return [(self.of, values)]
+        return [(name, values[:, k]) for k, name in enumerate(self.of) if name is not None]
+
+    def is_changed_by(self, moves: AllMoves, values: np.ndarray) -> bool:
+        """Whether rows of it, or what its `values` refer to, do not all stay."""
+        others = self.of.concerned if isinstance(self.of, Moved) else [name for name, _ in self.references(values)]
+        return not all(moves[each].stays.all() for each in (self.rows, *others))
 
     def move(self, values: np.ndarray, moves: AllMoves) -> None:
         """Change the values of rows that stay, in place, to where what they refer to is then."""
-        if isinstance(self.of, str):
-            values[:] = moves[self.of].of(values)
-        elif isinstance(self.of, Moved):
+        for name, part in self.references(values):
+            part[:] = moves[name].of(part)
+        if isinstance(self.of, Moved):
             self.of.change(values, moves)
-        elif self.of is not None:
-            for k, name in enumerate(self.of):
-                if name is not None:
-                    values[:, k] = moves[name].of(values[:, k])
 
 
 class GrowableArray:
@@ -230,7 +232,7 @@ class Table(Generic[Made]):
     def move(self, moves: AllMoves) -> None:
         """Drop the rows that do not stay; what refers to rows that do is changed. Columns without rows stay empty."""
         for _, column, array in self.all_columns():
-            if not array.used or all(moves[each].stays.all() for each in column.concerned()):
+            if not array.used or not column.is_changed_by(moves, array.view):
                 continue  # it may be shared with a preprocess, which this keeps so
             rows = array.view[moves[column.rows].stays]
             column.move(rows, moves)
@@ -244,9 +246,6 @@ def check_references(table: Table) -> None:
         if array.used:
             assert used.setdefault(column.rows, array.used) == array.used, f"{name}: not as long as others"
     for name, column, array in table.all_columns():
-        of = column.of if isinstance(column.of, tuple) and not isinstance(column.of, Moved) else (column.of,)
-        for k, rows in enumerate(of):
-            if isinstance(rows, str) and array.used:
-                values = array.view[:, k] if len(of) > 1 else array.view
-                # the end of a range may be that of all rows
-                assert values.max() <= used.get(rows, 0), f"{name}: a {rows} that there is not"
+        for rows, values in column.references(array.view) if array.used else ():
+            # the end of a range may be that of all rows
+            assert values.max() <= used.get(rows, 0), f"{name}: a {rows} that there is not"

@@ -24,7 +24,7 @@ from fracture_collision.msg import AnswerTimes, SimulationStatus
 from fracture_collision.records import REMOVE
 from fracture_collision.ros.nodes.page_commands import PageCommands
 from fracture_collision.ros.nodes.page_mirror import Mirror
-from fracture_collision.ros.nodes.service_settings import ServiceSettings
+from fracture_collision.ros.nodes.settings_watcher import ServiceSettings
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.wire import interfaces, qos

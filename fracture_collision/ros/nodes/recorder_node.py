@@ -25,7 +25,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from fracture_collision.bag.reader import EARLIER_SETTINGS, SETTINGS
 from fracture_collision.bag.writer import BagTopic, BagWriter, OfferedQos
 from fracture_collision.cdr import offset_of_run_id
-from fracture_collision.ros.nodes.service_settings import ServiceSettings
+from fracture_collision.ros.nodes.settings_watcher import ServiceSettings
 from fracture_collision.ros.processes.parameters import Declaration, declare_all
 from fracture_collision.ros.processes.process import Fatal, run_node
 from fracture_collision.ros.wire import interfaces, qos

@@ -46,10 +46,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.portable_math import dots, images, lengths
 from fracture_collision.records import ContactConstraintArray, documented
 from fracture_collision.simulation.solver.contact_islands import Bodies, Contacts, Result, islands_of, solve_islands
+from fracture_collision.simulation.solver.warm_start import WarmStart, carried_impulses
 
 
 @documented
@@ -119,17 +119,6 @@ class BodyPairs(NamedTuple):
     rest_gaps: np.ndarray  # (N,) [m] of each contact: the zero of g
 
 
-class WarmStart(NamedTuple):
-    """Impulses of one step, for the next: matched by (fragment_a, fragment_b, contact id)."""
-
-    fragment_a: np.ndarray  # (p,) uint32, ascending by (a, b)
-    fragment_b: np.ndarray
-    pair_begin: np.ndarray  # (p + 1,)
-    contact_ids: np.ndarray  # (N,) uint64
-    impulses: np.ndarray  # (N, 3) on b, world axes [N s]
-    rolling: np.ndarray  # (p, 3) angular, on b, world axes [N m s]
-
-
 class Solution(NamedTuple):
     """Velocities and impulses of one step."""
 
@@ -146,12 +135,6 @@ class Again(NamedTuple):
     bodies: np.ndarray  # (n,) bool: islands with such a body are solved, the others keep `before`
     impulse_limits: np.ndarray  # (N,) [N s] of lambda, that materials transmit before they break; inf: none
     before: Solution  # of the same contacts; its drift stays
-
-
-NO_WARM_START = WarmStart(
-    np.zeros(0, np.uint32), np.zeros(0, np.uint32), np.zeros(1, np.int64),
-    np.zeros(0, np.uint64), np.zeros((0, 3)), np.zeros((0, 3)),
-)  # fmt: skip
 
 
 def solve_contacts(
@@ -200,33 +183,6 @@ def bounce_speeds(settings: SolverSettings, sizes: np.ndarray, gravity: np.ndarr
     gravity (3,) [m/s2]. Without it nothing rests on anything, and all impacts bounce.
     """
     return np.sqrt(2.0 * float(lengths(gravity)) * settings.restitution_height * sizes)
-
-
-@cached_njit
-def carried_impulses(fragment_a, fragment_b, begin, contact_ids, warm_start):
-    """Impulses (N, 3), world axes, and rolling (p, 3) from the last step where it had the same contact; else zero.
-
-    Pairs are merged in their common order; the few contacts of a pair are compared one by one.
-    """
-    old_a, old_b, old_begin, old_ids, old_impulses, old_rolling = warm_start
-    impulses = np.zeros((contact_ids.size, 3))
-    rolling = np.zeros((fragment_a.size, 3))
-    old = 0
-    for pair in range(fragment_a.size):
-        a, b = fragment_a[pair], fragment_b[pair]
-        while old < old_a.size and (old_a[old] < a or (old_a[old] == a and old_b[old] < b)):
-            old += 1
-        if old == old_a.size:
-            break
-        if old_a[old] != a or old_b[old] != b:
-            continue
-        rolling[pair] = old_rolling[old]
-        for c in range(begin[pair], begin[pair + 1]):
-            for o in range(old_begin[old], old_begin[old + 1]):
-                if old_ids[o] == contact_ids[c]:
-                    impulses[c] = old_impulses[o]
-                    break
-    return impulses, rolling
 
 
 def sums_of_bodies(
