@@ -9,6 +9,7 @@ compiled again. Files with another digest are removed when the new code is store
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import sysconfig
 from collections.abc import Callable
@@ -145,6 +146,15 @@ def is_cached(dispatcher: Any) -> bool:
     """Whether the cache has code, for whatever types, of a function of `cached_njit`, made from the present sources."""
     cache = getattr(dispatcher, "_cache", None)  # None under NUMBA_DISABLE_JIT
     return cache is not None and any(Path(cache.cache_path).glob(f"{cache._impl.filename_base}.*.nbc"))
+
+
+def can_be_cached(dispatcher: Any) -> bool:
+    """Whether code of a function of `cached_njit` can be stored: it is compiled, and its cache can be written to."""
+    cache = getattr(dispatcher, "_cache", None)
+    if cache is None:
+        return False
+    folders = (Path(cache.cache_path), *Path(cache.cache_path).parents)
+    return os.access(next(folder for folder in folders if folder.exists()), os.W_OK)
 
 
 def cached_njit(function: Callable | None = None, **options: Any) -> Any:

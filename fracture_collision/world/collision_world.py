@@ -31,6 +31,7 @@ from fracture_collision.records import (
     FragmentStates,
 )
 from fracture_collision.world.contact_answer import contact_answer
+from fracture_collision.world.first_start import compile_beside
 from fracture_collision.world.fragment_mesh import fragment_mesh
 from fracture_collision.world.gates.checks import identifier, refuse
 from fracture_collision.world.gates.errors import Rejection, StatesAhead
@@ -66,6 +67,7 @@ class CollisionWorld:
 
     def __init__(self, settings: Settings | None = None) -> None:
         report_compilation()
+        compile_beside()
         self.settings = settings if settings is not None else Settings()
         check_settings(self.settings)
         self._ledger = Ledger(self.settings)

@@ -200,6 +200,7 @@ class KernelCalls:
                 return self._compile(signature)
             finally:
                 KernelCalls._inside -= 1
+                self._dispatcher._cache.unlock()
 
     def compile_for_args(self, *args: Any, **named: Any) -> Callable:
         """Compile for a call from Python."""

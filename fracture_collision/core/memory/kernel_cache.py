@@ -11,6 +11,7 @@ test_core_kernel_cache.py detects where it no longer fits.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from llvmlite import binding as llvm
@@ -21,6 +22,7 @@ from numba.core.environment import lookup_environment
 from numba.core.runtime import _nrt_python as runtime
 from numba.core.typed_passes import NativeLowering
 
+from fracture_collision.core.memory import compile_locks
 from fracture_collision.core.memory.callees import (
     callers_first,
     is_callee,
@@ -39,6 +41,7 @@ class KernelCache(SourceCache):
     """The cache of one kernel, in numba's own files; what other kernels call has keys of its own."""
 
     of_callees = False  # whether the code for other kernels is meant
+    _is_locked = False  # whether this process compiles the kernel, and others wait
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """As in FunctionCache, without target_context.refresh(), which numba's compiler calls itself."""
@@ -48,9 +51,14 @@ class KernelCache(SourceCache):
             return self._load_overload(sig, target_context)
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        parts = self._cache_file.load(self._index_key(sig, target_context.codegen()))
+        key = self._index_key(sig, target_context.codegen())
+        parts = self._cache_file.load(key)
+        if parts is None and not self._is_locked:
+            self._is_locked = compile_locks.lock(Path(self.cache_path), self._impl.filename_base)
+            parts = self._cache_file.load(key)  # another process may have compiled it meanwhile
         if parts is None:
             return None
+        self.unlock()
         return (rebuilt if self.of_callees else _rebuilt_whole)(target_context, parts)
 
     def _save_overload(self, sig: Any, data: Any) -> None:
@@ -59,6 +67,12 @@ class KernelCache(SourceCache):
         elif self._impl.check_cachable(data):
             self._impl.locator.ensure_cache_path()
             self._cache_file.save(self._index_key(sig, data.codegen), reduced(data))
+
+    def unlock(self) -> None:
+        """Let other processes compile the kernel. Called after each compilation, also a failed one."""
+        if self._is_locked:
+            self._is_locked = False
+            compile_locks.unlock(Path(self.cache_path), self._impl.filename_base)
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple:
         return (*super()._index_key(sig, codegen), self.of_callees)
