@@ -24,14 +24,14 @@ from fracture_collision.meshing import tetrahedralize_by_lattice
 from fracture_collision.simulation.scene.scene import load_scene
 from fracture_collision.viewer.pictures.body_mesh import BodyMesh
 from fracture_collision.viewer.pictures.ray_picture import Camera, TriangleScene, render
-from fracture_collision.world.first_start import ALONE
+from fracture_collision.world.first_start import ALONE, cache_is_cold
 
 
 def main() -> None:
     """Compiles all kernels and prints what it is compiling."""
     started, cores = time.monotonic(), len(os.sched_getaffinity(0))
     os.environ[ALONE] = "1"  # the parts are divided here
-    if cores > 1 and service.cache_is_cold():
+    if cores > 1 and cache_is_cold():
         workers = min(cores, len(PARTS))
         _say(f"{len(PARTS)} parts in {workers} processes")
         with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:

@@ -53,7 +53,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
     from fracture_collision.ros.runs.play_run import PlayFailed, played
     from fracture_collision.ros.runs.run_domain import DomainTaken
     from fracture_collision.simulation.config.scene_fields import SceneError
-    from fracture_collision.world.warm_up import cache_is_cold
+    from fracture_collision.world.first_start import cache_is_cold
 
     cold = cache_is_cold()
     try:

@@ -79,8 +79,8 @@ def carried_contacts(waited: Waited, after: BodyStates, settings: SolverSettings
     turns[waited.is_round] = 0.0, 0.0, 0.0, 1.0  # another point of a sphere comes to where it touches
     course = _Course(before.centers, after.centers[at], rotation_matrices(turns), rows[:-1] < none)
     points_a, points_b, gaps, kept = _carried(
-        contacts.pair_begin, pairs.body_a, pairs.body_b, contacts.points_a, contacts.points_b, contacts.normals, course,
-        settings.ahead_gap * pairs.sizes, settings.memory_reach * pairs.sizes,
+        (contacts.pair_begin, pairs.body_a, pairs.body_b), (contacts.points_a, contacts.points_b, contacts.normals),
+        course, settings.ahead_gap * pairs.sizes, settings.memory_reach * pairs.sizes,
     )  # fmt: skip
     moved = contacts._replace(points_a=points_a, points_b=points_b, gaps=gaps)
     moved = chosen_contacts(moved, kept, np.ones(len(pairs.sizes), bool))
@@ -99,11 +99,13 @@ class _Course(NamedTuple):
 
 
 @cached_njit
-def _carried(begin, body_a, body_b, points_a, points_b, normals, course, ahead_gaps, tolerances):
+def _carried(pairs, contacts, course, ahead_gaps, tolerances):
     """Points (N, 3) [m] of contacts carried along with their bodies, their gaps (N,) [m], and which are kept (N,) bool.
 
-    ahead_gaps, tolerances (p,) [m] of the pairs; gaps beyond the tolerance are enlarged, see CLOSER.
+    pairs: where the contacts of each begin (p + 1,), rows of its bodies (p,) each; contacts: points on both and normals
+    (N, 3) each; ahead_gaps, tolerances (p,) [m]: gaps beyond the tolerance are enlarged, see CLOSER.
     """
+    (begin, body_a, body_b), (points_a, points_b, normals) = pairs, contacts
     to_a, to_b = np.empty_like(points_a), np.empty_like(points_b)
     gaps, kept = np.empty(len(points_a)), np.zeros(len(points_a), np.bool_)
     for pair in range(len(body_a)):

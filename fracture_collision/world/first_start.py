@@ -17,13 +17,19 @@ LATER = 10  # niceness
 _helper: subprocess.Popen | None = None
 
 
+def cache_is_cold() -> bool:
+    """Whether the largest kernel can be cached, and is not: the first start compiles."""
+    from fracture_collision.core.pair.pair_search import search_sampled
+    from fracture_collision.kernel_sources import can_be_cached, is_cached  # a node announces itself before numba is
+
+    return can_be_cached(search_sampled) and not is_cached(search_sampled)
+
+
 def compile_beside() -> None:
     """Start the other process, once, if the cache has no kernels yet and there is a processor for it."""
     global _helper
     if _helper is not None or ALONE in os.environ or not _has_two_processors():
         return
-    from fracture_collision.world.warm_up import cache_is_cold  # imports this folder
-
     if not cache_is_cold():
         return
     # It ends when this process does: then it reads the end of its standard input.
@@ -39,13 +45,13 @@ def _has_two_processors() -> bool:
 
 def main() -> None:
     """Compiles the largest kernel, until it is done or the parent process has ended."""
+    from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
     from fracture_collision.core.pair.narrow_phase import compile_largest
-    from fracture_collision.world import CollisionWorld
 
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if hasattr(os, "nice"):
         os.nice(LATER)
-    compile_largest(CollisionWorld().geometry.searched)
+    compile_largest(CollisionGeometry().searched)
 
 
 def _end_with_parent() -> None:

@@ -18,14 +18,6 @@ from fracture_collision.world.settings import Settings
 BAR = brick((1.0, 0.5, 0.5), 0.5)
 
 
-def cache_is_cold() -> bool:
-    """Whether the largest kernel can be cached, and is not: the first start compiles."""
-    from fracture_collision.core.pair.pair_search import search_sampled
-    from fracture_collision.kernel_sources import can_be_cached, is_cached  # a node announces itself before numba is
-
-    return can_be_cached(search_sampled) and not is_cached(search_sampled)
-
-
 def compile_kernels(progress: Callable[[str], None]) -> None:
     """Run the small scene; `progress` is called with a description before each stage.
 

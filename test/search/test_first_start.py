@@ -64,10 +64,10 @@ def test_nothing_is_started_beside_where_kernels_are_cached(monkeypatch: pytest.
     monkeypatch.setattr(first_start, "_helper", None)
     monkeypatch.setattr(first_start, "_has_two_processors", lambda: True)
     monkeypatch.delenv(first_start.ALONE, raising=False)
-    monkeypatch.setattr("fracture_collision.world.warm_up.cache_is_cold", lambda: False)
+    monkeypatch.setattr(first_start, "cache_is_cold", lambda: False)
     first_start.compile_beside()
     assert not started
-    monkeypatch.setattr("fracture_collision.world.warm_up.cache_is_cold", lambda: True)
+    monkeypatch.setattr(first_start, "cache_is_cold", lambda: True)
     monkeypatch.setenv(first_start.ALONE, "1")
     first_start.compile_beside()
     assert not started

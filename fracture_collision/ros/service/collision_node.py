@@ -27,8 +27,9 @@ from fracture_collision.ros.service.diagnostics import RefusalCounts, diagnostic
 from fracture_collision.ros.service.incoming import Incoming
 from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.world import InvalidMessage, Settings
+from fracture_collision.world.first_start import cache_is_cold
 from fracture_collision.world.settings import values_of
-from fracture_collision.world.warm_up import cache_is_cold, compile_kernels
+from fracture_collision.world.warm_up import compile_kernels
 
 # [s] After states were held for so long, bodies and events are requested again. They are latched and arrive by
 # themselves, but discovery sometimes omits a reader that appeared while others were killed. The last pause repeats.
