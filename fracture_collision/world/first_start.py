@@ -37,6 +37,7 @@ def compile_beside() -> None:
         [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         start_new_session=True, env=os.environ | {ALONE: "1", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )  # fmt: skip
+    threading.Thread(target=_helper.wait, daemon=True).start()  # or it would stay as a zombie
 
 
 def _has_two_processors() -> bool:

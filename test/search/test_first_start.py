@@ -6,6 +6,7 @@ import subprocess
 import sys
 import zlib
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -60,7 +61,7 @@ def test_a_folder_that_cannot_be_written_to_has_no_locks(tmp_path: Path) -> None
 
 def test_nothing_is_started_beside_where_kernels_are_cached(monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[list[str]] = []
-    monkeypatch.setattr(first_start.subprocess, "Popen", lambda command, **_: started.append(command))
+    monkeypatch.setattr(first_start.subprocess, "Popen", lambda command, **_: started.append(command) or Mock())
     monkeypatch.setattr(first_start, "_helper", None)
     monkeypatch.setattr(first_start, "_has_two_processors", lambda: True)
     monkeypatch.delenv(first_start.ALONE, raising=False)

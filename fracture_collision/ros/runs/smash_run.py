@@ -26,8 +26,6 @@ from fracture_collision.simulation.scene.scene import load_scene
 # [s] for the recorder to receive what is on its way when the simulator has ended.
 RECORDER_PATIENCE = 20.0
 POLL_INTERVAL = 0.05  # [s]
-
-
 # Niceness of the recorder: on two processors a step waits 0.3 ms less for it. It may be late by 64 steps.
 LATER = 10
 

@@ -97,9 +97,10 @@ class Shape(NamedTuple):
 
     def half_length(self) -> float:
         """R [m], as the service has it: half the longest side of the box about the body; inf for a plane."""
-        vertices = self.mesh.vertices if self.mesh is not None else self.surface and self.surface[0]
-        if vertices is not None:
-            return 0.5 * float(np.ptp(vertices, axis=0).max())
+        if self.mesh is not None:
+            return 0.5 * float(np.ptp(self.mesh.vertices, axis=0).max())
+        if self.surface is not None:
+            return 0.5 * float(np.ptp(self.surface[0], axis=0).max())
         return math.inf if self.kind == "plane" else max(0.5 * max(self.size, default=0.0), self.radius)
 
 
@@ -124,7 +125,7 @@ def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | N
     elif kind == "sphere":
         shape = Shape(kind, radius=part.number("radius", WORDS["radius"], above=0.0))
     elif kind in SURFACES:
-        arguments = _arguments(kind, SURFACES[kind], part)
+        arguments = _arguments(SURFACES[kind], part)
         try:
             shape = Shape(kind, size=tuple(arguments.values()), surface=SURFACES[kind](**arguments))
         except (ValueError, TypeError) as error:
@@ -137,7 +138,7 @@ def parse_shape(fields: Fields, made: dict[tuple, TetGeometry], folder: Path | N
 
 def _mesh(kind: str, fields: Fields, made: dict[tuple, TetGeometry], folder: Path | None) -> TetGeometry:
     make = MESHES[kind]
-    arguments = _arguments(kind, make, fields)
+    arguments = _arguments(make, fields)
     if kind == "stored_mesh" and isinstance(arguments["file"], str):
         arguments["file"] = str((folder or Path()) / arguments["file"])
     mesh = (kind, *arguments.values())
@@ -149,7 +150,7 @@ def _mesh(kind: str, fields: Fields, made: dict[tuple, TetGeometry], folder: Pat
     return made[mesh]
 
 
-def _arguments(kind: str, make: Callable[..., object], fields: Fields) -> dict[str, Any]:
+def _arguments(make: Callable[..., object], fields: Fields) -> dict[str, Any]:
     """The fields that `make` takes as arguments, by their names."""
     arguments: dict[str, Any] = {}
     for key, parameter in inspect.signature(make).parameters.items():

@@ -313,6 +313,4 @@ def collision_body(body_id: int, body: SceneBody) -> CollisionBody:
         vertices, triangles = shape.surface
         return record._replace(vertices=vertices, triangles=triangles)
     assert shape.mesh is not None  # as in every shape of another kind
-    return record._replace(
-        vertices=shape.mesh.vertices, tetrahedra=shape.mesh.tetrahedra.astype(np.uint32)
-    )
+    return record._replace(vertices=shape.mesh.vertices, tetrahedra=shape.mesh.tetrahedra.astype(np.uint32))

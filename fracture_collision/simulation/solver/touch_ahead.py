@@ -136,7 +136,7 @@ def shares_of_step(
     time_step: float,
 ) -> np.ndarray:  # fmt: skip
     """(n,) share of their course for which bodies move: no farther than to where they touch."""
-    (now, pairs, ahead, pairs_ahead), (moves, searched, falls, is_expected) = contacts, course
+    (now, pairs, ahead, pairs_ahead), (moves, searched, *_) = contacts, course
     is_round, motion = forms.is_round, Motion(states.centers, moves, time_step)
     near = settings.ahead_gap * pairs.sizes
     if searched is None:
@@ -147,8 +147,7 @@ def shares_of_step(
         spare = np.clip(SPARE * boxes.thickness(), least, MOST_SPARE * least)
         reach = np.where(is_round[:-1], 0.0, boxes.reach())  # turning does not move a sphere's surface
         is_chosen = _goes_astray(pairs.body_a, pairs.body_b, moves, reach, near, time_step)
-        deviation = Deviation(searched, falls, is_expected, reach, spare)
-        shares = _shares_as_searched(pairs.body_a, pairs.body_b, near, motion, deviation)
+        shares = _shares_as_searched(pairs.body_a, pairs.body_b, near, course, reach, spare, time_step)
         if len(ahead.gaps) or is_chosen.any() or shares.min(initial=1.0) < 1.0:
             # Two that touch are kept apart while both move: one that moves on alone would run into the other.
             is_chosen |= (pairs.body_a < len(moves)) & (pairs.body_b < len(moves))
@@ -169,18 +168,8 @@ def shares_of_step(
     return shares
 
 
-class Deviation(NamedTuple):
-    """Of n bodies from the paths that the service has searched."""
-
-    searched: np.ndarray  # (n, 6), see Course
-    falls: np.ndarray  # (n, 3)
-    is_expected: np.ndarray  # (n,) bool
-    reach: np.ndarray  # (n,) [m] from their centres to their corners
-    spare: np.ndarray  # (n,) [m] by which they may deviate
-
-
 @cached_njit
-def _shares_as_searched(body_a, body_b, near, motion, deviation):
+def _shares_as_searched(body_a, body_b, near, course, reach, spare, time_step):
     """(n,) share of their course for which bodies may move along another path than the searched one.
 
     No point of two touching bodies deviates from that path by more than what the two may, near (p,) [m] being the
@@ -188,16 +177,16 @@ def _shares_as_searched(body_a, body_b, near, motion, deviation):
     Other paths are those of free fall: what contacts bear of a weight counts as no deviation, or bodies at rest on
     another that slide along it would be held back.
     """
-    searched, falls, is_expected, reach, spare = deviation
-    n, h = len(searched), motion.time_step
+    moves, searched, falls, is_expected = course
+    n = len(searched)
     astray, shares = np.zeros(n + 1), np.ones(n + 1)
     for i in range(n):
-        u, v, fall = motion.velocities[i], searched[i], falls[i]
+        u, v, fall = moves[i], searched[i], falls[i]
         # A surface with normal n bears -(n . f) n of a weight f, a vector in the ball whose diameter is -f.
         half = 0.5 * length(fall[0], fall[1], fall[2])
         change = length(u[0] - v[0] + 0.5 * fall[0], u[1] - v[1] + 0.5 * fall[1], u[2] - v[2] + 0.5 * fall[2])
         turn = length(u[3] - v[3], u[4] - v[4], u[5] - v[5])
-        astray[i] = h * (max(change - half, 0.0) + reach[i] * turn)
+        astray[i] = time_step * (max(change - half, 0.0) + reach[i] * turn)
         if is_expected[i]:
             shares[i] = 1.0 / max(astray[i] / (EXPECTED * spare[i]), 1.0)
     for pair in range(len(body_a)):

@@ -44,8 +44,8 @@ MAX_DENSITY = 1e9  # [kg/m3] beyond all matter on Earth; keeps masses finite
 MAX_FRICTION = 1e6
 # Of a primitive.
 DIMENSIONS = {
-    BOX: "3, the lengths of the edges", SPHERE: "1, the radius", CYLINDER: "2, the height and the radius",
-    CONE: "2, the height and the radius",
+    BOX: (3, "the lengths of the edges"), SPHERE: (1, "the radius"), CYLINDER: (2, "the height and the radius"),
+    CONE: (2, "the height and the radius"),
 }  # fmt: skip
 SHAPE_FIELDS = "primitive, plane, vertices"
 
@@ -216,9 +216,9 @@ def _half_space(plane: np.ndarray) -> np.ndarray:
 def _dimensions(kind: int, dimensions: np.ndarray) -> np.ndarray:
     if kind not in DIMENSIONS:
         refuse("out_of_range", f"primitive.type: {kind} is none of BOX (1), SPHERE (2), CYLINDER (3) and CONE (4)")
-    needed = DIMENSIONS[kind]
-    if len(dimensions) != int(needed[0]):
-        refuse("size_mismatch", f"primitive.dimensions: {len(dimensions)} numbers, not {needed}")
+    count, words = DIMENSIONS[kind]
+    if len(dimensions) != count:
+        refuse("size_mismatch", f"primitive.dimensions: {len(dimensions)} numbers, not {count}, {words}")
     if (dimensions < SMALLEST_LENGTH).any():
         refuse("out_of_range", f"primitive.dimensions: {dimensions.min()} is less than {SMALLEST_LENGTH:g} m")
     return dimensions
