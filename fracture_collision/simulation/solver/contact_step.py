@@ -35,6 +35,7 @@ from fracture_collision.simulation.solver.contact_rows import (
     COUPLING2,
     NORMAL_MASS,
     TANGENT_MASS,
+    Rows,
     Surfaces,
     load,
     normal_velocities,
@@ -327,30 +328,44 @@ def _impacts(rows, surfaces, gaps, open_by, gravity, iterate, settings):
     nothing = np.zeros_like(u)
     for _ in range(MOST_IMPACTS):
         normal_velocities(rows, u, approach)
-        limits, targets, bounces = np.zeros(count), np.zeros(count), False
-        for c in range(count):
-            if (
-                gaps.restitution[c] > 0.0
-                and surfaces.impulse_limits[c] == np.inf
-                and approach[c] < -gaps.bounce_speeds[c]
-                and approach[c] + falls[c] + open_by[c] < 0.0
-            ):
-                limits[c], bounces = np.inf, True
-        if not bounces:
+        bouncing = np.flatnonzero(
+            (gaps.restitution > 0.0) & (surfaces.impulse_limits == np.inf) & (approach < -gaps.bounce_speeds)
+            & (approach + falls + open_by < 0.0)
+        )  # fmt: skip
+        if not len(bouncing):
             return
-        now = u.copy()
-        plastic = Iterate(np.zeros_like(iterate.impulses), np.zeros_like(iterate.rolling), u.copy())
-        its = Surfaces(surfaces.friction, surfaces.rolling_arm, limits)
-        sweep(rows, its, targets, now, plastic, settings.iterations, settings.accuracy)
+        own, its, pairs = _those(rows, surfaces, bouncing)
+        targets, now = np.zeros(len(bouncing)), u.copy()
+        plastic = Iterate(np.zeros((len(bouncing), 3)), np.zeros((len(pairs), 3)), u.copy())
+        sweep(own, its, targets, now, plastic, settings.iterations, settings.accuracy)
         bounced = Iterate(plastic.impulses.copy(), plastic.rolling.copy(), plastic.u.copy())
-        for c in range(count):
-            if limits[c] > 0.0:
-                targets[c] = -gaps.restitution[c] * approach[c]
-        sweep(rows, its, targets, now, bounced, settings.restitution_iterations, settings.accuracy)
+        targets = -gaps.restitution[bouncing] * approach[bouncing]
+        sweep(own, its, targets, now, bounced, settings.restitution_iterations, settings.accuracy)
         share = _share_without_energy_gain(rows, now, nothing, plastic.u, bounced.u)
         u[:] = plastic.u + share * (bounced.u - plastic.u)
-        iterate.impulses[:] += plastic.impulses + share * (bounced.impulses - plastic.impulses)
-        iterate.rolling[:] += plastic.rolling + share * (bounced.rolling - plastic.rolling)
+        iterate.impulses[bouncing] += plastic.impulses + share * (bounced.impulses - plastic.impulses)
+        iterate.rolling[pairs] += plastic.rolling + share * (bounced.rolling - plastic.rolling)
+
+
+@cached_njit
+def _those(rows, surfaces, chosen):
+    """Rows and Surfaces of the `chosen` (k,) contacts alone, ascending, without limits; and their pairs (q,)."""
+    pairs, begin, used = np.empty(len(chosen), np.int64), np.zeros(len(chosen) + 1, np.int64), 0
+    pair = 0
+    for k in range(len(chosen)):
+        while rows.begin[pair + 1] <= chosen[k]:
+            pair += 1
+        if used == 0 or pairs[used - 1] != pair:
+            pairs[used] = pair
+            used += 1
+        begin[used] = k + 1
+    pairs = pairs[:used]
+    own = Rows(
+        begin[: used + 1], rows.body_a[pairs], rows.body_b[pairs], rows.masses, rows.inertias, rows.inverse_masses,
+        rows.inverse_inertias, rows.contacts[chosen], rows.rolling_masses[pairs],
+    )  # fmt: skip
+    its = Surfaces(surfaces.friction[pairs], surfaces.rolling_arm[pairs], np.full(len(chosen), np.inf))
+    return own, its, pairs
 
 
 @cached_njit
