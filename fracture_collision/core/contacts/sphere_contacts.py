@@ -67,6 +67,17 @@ LEAST_WITHIN = 32
 SPREAD = 16
 
 
+# Column of Near.boxes behind the box.
+DISTANCE = 6
+
+
+class Near(NamedTuple):
+    """The other's triangles within a sphere's reach: those that touch at a place of theirs are among them."""
+
+    codes: np.ndarray  # (k,) int64
+    boxes: np.ndarray  # (k, 7) float64 [m] around each: least, most; its distance from the centre
+
+
 class Place(NamedTuple):
     """Where a sphere may touch: a point of the other's surface, seen from the sphere's centre."""
 
@@ -106,20 +117,22 @@ def sphere_contacts(pools, pair, rule, sink, scratch):
     found, kept, bound, cut = 1, 1, 0.0, False
     if sample != NO_TRIANGLE and answer.status != INSIDE:
         reach, room = radius + rule.near, min(len(within), LEAST_WITHIN if rule.every > 1 else len(within))
-        count, _, _ = _triangles_within(pools, other, center, reach, center, within[:room], scratch)
+        count, _ = _triangles_within(pools, other, center, reach, within[:room], scratch)
         for _ in range(HALVINGS):
             if count <= room:
                 break
             cut = True
             reach = d + 0.5 * (reach - d)
-            count, _, _ = _triangles_within(pools, other, center, reach, center, within[:room], scratch)
+            count, _ = _triangles_within(pools, other, center, reach, within[:room], scratch)
         if count > room:
             reach, count = d, 0
         if cut:
             bound = max(radius - reach, 0.0)
             cut = bound > rule.epsilon
+        near = Near(within[:count], scratch.boxes_within[:count])
+        _measure(pools, other, near, center)
         for k in range(count):
-            place = _place_of(pools, other, within[k], center, scratch)
+            place = _place_of(pools, other, near, k, center, scratch)
             if not place.is_place or _is_listed(places.contacts, found, place, ONE_PLACE * size):
                 continue
             if found == len(places.contacts):
@@ -191,9 +204,21 @@ def _choose(contacts, ids, wanted, epsilon, most):
 
 
 @query_kernel
-def _place_of(pools, f, code, center, scratch):
-    """The point of f's triangle `code` nearest to a sphere's centre outside f: a Place."""
-    triangle, n = _triangle(pools, f, code)
+def _measure(pools, f, near, center):
+    """Write the boxes and distances of triangles Near a sphere's centre."""
+    for k in range(len(near.codes)):
+        triangle, _ = _triangle(pools, f, near.codes[k])
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangle
+        box = near.boxes[k]
+        box[0], box[1], box[2] = min(ax, bx, cx), min(ay, by, cy), min(az, bz, cz)
+        box[3], box[4], box[5] = max(ax, bx, cx), max(ay, by, cy), max(az, bz, cz)
+        box[DISTANCE] = math.sqrt(closest_on_triangle(center, triangle)[0])
+
+
+@query_kernel
+def _place_of(pools, f, near, k, center, scratch):
+    """The point of f's triangle k of those Near nearest to a sphere's centre outside f: a Place."""
+    triangle, n = _triangle(pools, f, near.codes[k])
     d2, q, feature = closest_on_triangle(center, triangle)
     d, away, size = math.sqrt(d2), minus(center, q), pools.fragment.radius[f]
     nothing = Place(False, d, n, q)
@@ -203,14 +228,30 @@ def _place_of(pools, f, code, center, scratch):
     elif not d > TOUCHES * size:
         return nothing
     nearer = d - DISTANCE_ROUNDING * (d + size)
-    _, first, least = _triangles_within(pools, f, q, TOUCHES * size, center, scratch.within[:0], scratch)
-    if first < code or least < nearer:
+    if _goes_on(pools, f, near, k, q, TOUCHES * size, nearer):
         return nothing
     if feature != ON_FACE:
         n = divided(away, d)
         if _holds(pools, f, plus_scaled(q, min(BEFORE * size, 0.5 * d), n), scratch):
             return nothing
     return Place(True, d, n, q)
+
+
+@query_kernel
+def _goes_on(pools, f, near, k, q, touches, nearer):
+    """Whether a triangle within `touches` [m] of the point q of triangle k is before it or comes `nearer` [m]."""
+    x, y, z = q
+    for turn in range(2 * len(near.codes)):  # those listed beside it lie beside it most often
+        i = k + (turn + 1) // 2 if turn % 2 == 1 else k - turn // 2
+        if i < 0 or i >= len(near.codes):
+            continue
+        box = near.boxes[i]
+        if (near.codes[i] < near.codes[k] or box[DISTANCE] < nearer) and (
+            box[0] - touches <= x <= box[3] + touches and box[1] - touches <= y <= box[4] + touches
+            and box[2] - touches <= z <= box[5] + touches and _distance(pools, f, near.codes[i], q) <= touches
+        ):  # fmt: skip
+            return True
+    return False
 
 
 @query_kernel
@@ -226,7 +267,7 @@ def _holds(pools, f, point, scratch):
 def _first_at(pools, f, point, scratch):
     """Number of the first triangle of f at a point of its surface; NO_TRIANGLE if the point is on none."""
     touches = TOUCHES * pools.fragment.radius[f]
-    _, first, _ = _triangles_within(pools, f, point, touches, point, scratch.within[:0], scratch)
+    _, first = _triangles_within(pools, f, point, touches, scratch.within[:0], scratch)
     return NO_TRIANGLE if first == NO_SOURCE else _number(pools, f, first)
 
 
@@ -261,13 +302,13 @@ def _distance(pools, f, code, point):
 
 
 @query_kernel
-def _triangles_within(pools, f, point, r, center, found, scratch):
+def _triangles_within(pools, f, point, r, found, scratch):
     """Triangles of f's surface within `r` [m] of a point, as many as `found` has room for.
 
-    Returns (their number, the first of them or NO_SOURCE, the least of their distances from `center` [m]).
+    Returns (their number, the first of them or NO_SOURCE).
     """
     x, y, z = point
-    seen, r2 = (0, NO_SOURCE, math.inf), r * r
+    seen, r2 = (0, NO_SOURCE), r * r
     if pools.fragment.kind[f] == TRIANGLES:
         meshes = pools.triangles
         node, end = meshes.node_range[pools.fragment.mesh[f]]
@@ -277,37 +318,37 @@ def _triangles_within(pools, f, point, r, center, found, scratch):
                 continue
             begin = meshes.node_first[node]
             for t in range(begin, begin + meshes.node_count[node]):
-                seen = _note(pools, f, t, point, r, center, found, seen)
+                seen = _note(pools, f, t, point, r, found, seen)
             node += 1
         return seen
     for k in range(tetrahedra_near(pools, f, x, y, z, r, scratch)):
         t = scratch.heap_tet[k]
         if box_distance_squared(x, y, z, pools.mesh.boxes[t]) <= r2:
-            seen = _note_tetrahedron(pools, f, t, point, r, center, found, seen)
+            seen = _note_tetrahedron(pools, f, t, point, r, found, seen)
     return seen
 
 
 @query_kernel
-def _note(pools, f, code, point, r, center, found, seen):
+def _note(pools, f, code, point, r, found, seen):
     if not _distance(pools, f, code, point) <= r:
         return seen
-    count, first, least = seen
+    count, first = seen
     if count < len(found):
         found[count] = code
-    return count + 1, min(first, code), min(least, _distance(pools, f, code, center))
+    return count + 1, min(first, code)
 
 
 @query_kernel
-def _note_tetrahedron(pools, f, t, point, r, center, found, seen):
+def _note_tetrahedron(pools, f, t, point, r, found, seen):
     mesh, body, shift = pools.mesh, pools.body, pools.fragment.tet_shift[f]
     if shift == NEVER_BROKEN or body.regions[t + shift, OWNER] >= 0:
         for face in range(4):
             if mesh.neighbours[t, face] < 0:
-                seen = _note(pools, f, ROWS_EACH * t + face, point, r, center, found, seen)
+                seen = _note(pools, f, ROWS_EACH * t + face, point, r, found, seen)
     if shift == NEVER_BROKEN:
         return seen
     begin = body.regions[t + shift, ROW]
     for i in range(begin, begin + body.cut_count[t + shift]):
         if body.sides[i, FRONT_SIDE] == f or body.sides[i, BACK_SIDE] == f:
-            seen = _note(pools, f, ROWS_EACH * t + 4 + i - begin, point, r, center, found, seen)
+            seen = _note(pools, f, ROWS_EACH * t + 4 + i - begin, point, r, found, seen)
     return seen

@@ -58,6 +58,7 @@ class Scratch(Struct):
     ahead_ridges: np.ndarray  # (MOST_AHEAD, 2) int32: its pairs of ridges, likewise
     stack: np.ndarray  # (STACK,) int32: a descent through a triangle hierarchy
     within: np.ndarray  # (MOST_WITHIN,) int64: triangles within a sphere's reach (sphere_contacts.py)
+    boxes_within: np.ndarray  # (MOST_WITHIN, 7) float64 [m]: around these, see sphere_contacts.Near
     places: Sink  # MOST_PLACES rows: contacts of a sphere that are not chosen yet
     kept: Sink  # `nodes` rows: contacts of candidate samples, contact_choice.keep_answer
     ridge_work: RidgeWork
@@ -128,6 +129,7 @@ def make_scratch(tetrahedra: int, nodes: int, ridges: int = 0) -> Scratch:
         ahead_ridges=np.zeros((MOST_AHEAD, 2), dtype=np.int32),
         stack=np.zeros(STACK, dtype=np.int32),
         within=np.zeros(MOST_WITHIN, dtype=np.int64),
+        boxes_within=np.zeros((MOST_WITHIN, 7)),
         places=make_sink(MOST_PLACES),
         kept=make_sink(nodes),
         ridge_work=make_ridge_work(ridges),
