@@ -307,12 +307,14 @@ class CollisionWorld:
 
     def _whole_surfaces(self) -> SurfaceTable:
         """Surfaces of concave fragments, built on demand; as they are divided now, whenever that is."""
-        holds_for = self._registry, self._registry.renumbered
-        if self._whole_of != holds_for or self._whole.is_mostly_garbage:
-            self._whole, self._whole_of = SurfaceTable(), holds_for
-        elif self._whole_at != self._registry.changes:
-            self._whole.forget(self._registry.rows_broken_since(self._whole_at))
-        self._whole_at = self._registry.changes
+        registry, (known, renumbered) = self._registry, self._whole_of
+        if known is registry and renumbered + 1 == registry.renumbered and registry.moves is not None:
+            self._whole.renumber(registry.moves)
+        elif known is not registry or renumbered != registry.renumbered:
+            self._whole, self._whole_at = SurfaceTable(), registry.changes
+        if self._whole_at != registry.changes:
+            self._whole.forget(registry.rows_broken_since(self._whole_at))
+        self._whole_of, self._whole_at = (registry, registry.renumbered), registry.changes
         return self._whole
 
     def _what_is_remembered_of(self) -> tuple[Registry, int, Settings]:

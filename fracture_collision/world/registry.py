@@ -8,6 +8,7 @@ import numpy as np
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.core.glondu2014.paper_geometry import PaperGeometry
+from fracture_collision.core.memory.tables import Moves
 from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.gates.body_gate import CheckedBody
 from fracture_collision.world.gates.checks import UINT64_MAX
@@ -25,6 +26,7 @@ class Registry:
         )
         self.sequence = 0
         self.renumbered = 0  # number of times the rows of all fragments were renumbered
+        self.moves: Moves | None = None  # of these rows, the last time
         self.changes = 0  # number of changes of any kind
         self._centers, self._centers_at = np.zeros((0, 3)), 0  # of mass, of all living; `changes` when computed
         self._bodies: dict[int, CheckedBody] = {}
@@ -80,7 +82,9 @@ class Registry:
 
     def _reclaim_memory(self) -> None:
         if self.geometry.is_mostly_garbage():
-            self._living.renumber(self.geometry.keep_only(self._living.columns().rows))
+            rows = self._living.columns().rows
+            self.moves = self.geometry.keep_only(rows)
+            self._living.renumber(self.moves.of(rows))
             self.renumbered += 1
 
     def rows_broken_since(self, changes: int) -> np.ndarray:

@@ -221,6 +221,6 @@ def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
 
     before = of(1).copy(), of(2).copy()
     assert len(before[0]) != len(before[1])
-    assert geometry.keep_only(np.array([1, 2])).tolist() == [0, 1]
+    assert geometry.keep_only(np.array([1, 2])).of(np.array([1, 2])).tolist() == [0, 1]
     for row in (0, 1):
         np.testing.assert_array_equal(of(row), before[row])

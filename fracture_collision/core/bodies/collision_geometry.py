@@ -16,7 +16,7 @@ from fracture_collision.core.fracture.touched_tetrahedra import Cut, Touched, to
 from fracture_collision.core.glondu2014.paper_geometry import PaperGeometry
 from fracture_collision.core.memory.kinds import BOX, PLANE, SPHERE, TETRAHEDRA, TRIANGLES
 from fracture_collision.core.memory.pools import FRAGMENT, MESH, NEVER_BROKEN, OWNER, REGION, SURFACE, Pools
-from fracture_collision.core.memory.tables import GrowableArray, check_references
+from fracture_collision.core.memory.tables import GrowableArray, Moves, check_references
 from fracture_collision.core.mesh.cut_tetrahedron import make_cut_scratch
 from fracture_collision.core.mesh.moments import mass_properties
 from fracture_collision.core.mesh.occupancy import cells_of_boxes, mark_all, mark_fragments
@@ -97,15 +97,15 @@ class CollisionGeometry:
         """Whether there may be as much garbage as the last `keep_only` kept."""
         return self._has_garbage and self._tables.bytes_used > LEAST_GARBAGE + 2 * self._kept
 
-    def keep_only(self, rows: np.ndarray) -> np.ndarray:
-        """Drop all data that fragments `rows` (n,) do not need; returns their new rows (n,). Keeps their order."""
+    def keep_only(self, rows: np.ndarray) -> Moves:
+        """Drop all data that fragments `rows` (n,) do not need; returns the Moves of their rows. Keeps their order."""
         moves = compact(self._tables, np.sort(rows))
         self._meshes = [self._meshes[k] for k in np.flatnonzero(moves[MESH].stays)]
         self._surfaces = [self._surfaces[k] for k in np.flatnonzero(moves[SURFACE].stays)]
         if self.paper is not None:
             self.paper.keep(moves)
         self._has_garbage, self._kept = False, self._tables.bytes_used
-        return moves[FRAGMENT].position[rows]
+        return moves[FRAGMENT]
 
     def validate(self) -> None:
         """Raise AssertionError unless all rows agree with what their columns declare."""

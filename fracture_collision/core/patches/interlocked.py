@@ -28,9 +28,9 @@ from fracture_collision.core.memory.compiled import allocating_kernel, kernel, q
 from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.kinds import TETRAHEDRA, WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
-from fracture_collision.core.memory.pools import Pools
+from fracture_collision.core.memory.pools import NEVER_BROKEN, Pools
 from fracture_collision.core.memory.struct import Struct
-from fracture_collision.core.memory.tables import Table
+from fracture_collision.core.memory.tables import Moves, Table, moves_of_ranges
 from fracture_collision.core.memory.transforms import turned_back
 from fracture_collision.core.memory.vectors import (
     area_vector,
@@ -74,7 +74,7 @@ from fracture_collision.core.patches.piercing import (
     triangles_within,
 )
 from fracture_collision.core.patches.shapes import Geometry, triangles_of
-from fracture_collision.core.patches.surface import Surface, make_surface
+from fracture_collision.core.patches.surface import CONVEX_EDGE, CORNER, FACET, Surface, make_surface
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.neighbour_lists import IN_PLACE, NeighbourLists, displacement, keep_pose
 from fracture_collision.core.search.passes import bound_by_thickness
@@ -129,40 +129,71 @@ class SurfaceTable:
     def __init__(self) -> None:
         self._begin, self._end, self._stamps = np.full((0, 3), -1), np.full((0, 3), -1), np.zeros(0, np.int64)
         self._rows = Table(Surface)
-        self._unused = 0  # triangles of fragments that were forgotten
         self._surfaces: Surfaces | None = None  # until one is added
-
-    @property
-    def is_mostly_garbage(self) -> bool:
-        """Whether more than half of the triangles are of surfaces that were forgotten."""
-        return 2 * self._unused > self._rows["triangles"].used
 
     def forget(self, rows: np.ndarray) -> None:
         """Make those of `rows` (n,) anew when they are asked for."""
         rows = rows[rows < len(self._begin)]
-        rows = rows[self._begin[rows, 0] >= 0]
-        self._unused += int((self._end - self._begin)[rows, 1].sum())
         self._begin[rows] = self._end[rows] = -1
 
+    def renumber(self, moves: Moves) -> None:
+        """Keep the surfaces of fragments that stay, whose rows have moved."""
+        stays = moves.stays[: len(self._begin)]
+        self._begin, self._end, self._stamps = self._begin[stays], self._end[stays], self._stamps[stays]
+        self._surfaces = None
+
     def of(self, pools: Pools, rows: np.ndarray) -> Surfaces:
-        """Surfaces of at least `rows` (n,) of FragmentPool."""
+        """Surfaces of at least `rows` (n,), ascending, of FragmentPool."""
         more = len(pools.fragment.kind) - len(self._begin)
         if more > 0:
-            self._surfaces = None
             nothing = np.full((more, 3), -1)
             self._begin, self._end = np.vstack((self._begin, nothing)), np.vstack((self._end, nothing))
             self._stamps = np.append(self._stamps, np.zeros(more, np.int64))
-        for f in rows[self._begin[rows, 0] < 0].tolist():
-            triangles, _ = triangles_of(pools, f, f + 1)
-            made = make_surface(triangles[in_order(triangles)])
-            self._begin[f] = [self._rows[name].used for name in ("corners", "triangles", "edges")]
-            for column, values in zip(self._rows, made, strict=True):
-                column.append(values)
-            self._end[f] = [self._rows[name].used for name in ("corners", "triangles", "edges")]
-            self._stamps[f], self._surfaces = next(_STAMPS), None
+            self._surfaces = None
+        new = rows[self._begin[rows, 0] < 0]
+        if len(new):
+            self._drop_forgotten()
+            self._add(pools, new)
+            self._surfaces = None
         if self._surfaces is None:
             self._surfaces = Surfaces(self._begin, self._end, self._stamps, self._rows.view)
         return self._surfaces
+
+    def _add(self, pools: Pools, new: np.ndarray) -> None:
+        """Make those of `new` (n,), ascending; a body's fragments whose rows follow each other are divided at once."""
+        fragment = pools.fragment
+        shift = fragment.tet_shift[new]
+        body = np.column_stack((fragment.mesh[new], shift, new - np.arange(len(new))))
+        is_other = (body[1:] != body[:-1]).any(axis=1) | (shift[1:] == NEVER_BROKEN)
+        runs = np.hstack((0, np.flatnonzero(is_other) + 1, len(new)))
+        made = list[Surface]()
+        for first, end in itertools.pairwise(runs.tolist()):
+            triangles, begin = triangles_of(pools, new[first], new[end - 1] + 1)
+            made += [_surface_of(triangles[k:m]) for k, m in itertools.pairwise(begin.tolist())]
+        for k, name in enumerate(("corners", "triangles", "edges")):
+            end = self._rows[name].used + np.cumsum([len(getattr(each, name)) for each in made])
+            self._end[new, k], self._begin[new, k] = end, np.append(self._rows[name].used, end[:-1])
+        self._stamps[new] = [next(_STAMPS) for _ in new]
+        for column, parts in zip(self._rows, zip(*made, strict=True), strict=True):
+            column.append(np.concatenate(parts))
+
+    def _drop_forgotten(self) -> None:
+        """Give the memory of surfaces that were forgotten back, once it is more than that of the others."""
+        kept = self._begin[:, 0] >= 0
+        begin, end = self._begin[kept], self._end[kept]
+        if 2 * (end - begin)[:, 1].sum() >= self._rows["triangles"].used:
+            return
+        moves = {}
+        for k, (name, rows) in enumerate((("corners", CORNER), ("triangles", FACET), ("edges", CONVEX_EDGE))):
+            moves[rows] = moves_of_ranges(self._rows[name].used, begin[:, k], end[:, k])
+            self._begin[kept, k], self._end[kept, k] = moves[rows].of(begin[:, k]), moves[rows].of(end[:, k])
+        self._rows.move(moves)
+
+
+@kernel
+def _surface_of(triangles):
+    """make_surface of triangles (n, 9) [m] in the order in which close_pairs is quick."""
+    return make_surface(triangles[in_order(triangles)])
 
 
 class _Out(NamedTuple):
