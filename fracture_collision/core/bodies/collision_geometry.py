@@ -27,8 +27,8 @@ from fracture_collision.core.patches.shapes import Geometry, append_shapes, tria
 from fracture_collision.core.samples.fragment_samples import deal_samples, new_samples
 from fracture_collision.core.samples.sample_leaves import most_leaves
 
-# [bytes] Less garbage is not worth a compaction.
-LEAST_GARBAGE = 1 << 20
+# [bytes] Less garbage is not worth a compaction: with the lists of all pairs, which it ends, it costs some 10 ms.
+LEAST_GARBAGE = 1 << 25
 # Columns of SamplePool: with a row for each sample, and for each leaf.
 POINTS, LEAVES = ("points", "numbers"), ("values", "entries")
 

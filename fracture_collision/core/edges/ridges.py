@@ -68,23 +68,42 @@ NO_RIDGES = Table(Ridges).view
 
 def append_ridges(table: Table[Ridges], pools: Pools, first: int, triangles: np.ndarray, begin: np.ndarray) -> None:
     """Add the ridges of the fragments from row `first` on, which were made last, by their triangles_of."""
-    room = np.empty((_FIRST_ROOM, RIDGE))
-    for k in range(len(begin) - 1):
-        f, its = first + k, triangles[begin[k] : begin[k + 1]]
-        count = find_ridges(its, pools.fragment.radius[f], room)
-        if count > len(room):
-            room = np.empty((2 * count, RIDGE))
-            find_ridges(its, pools.fragment.radius[f], room)
-        leaves = -(-count // LEAF)
-        rows, boxes, most, lines = (table[name].reserve(leaves) for name in ("rows", "boxes", "most", "lines"))
+    fragment, end = pools.fragment, first + len(begin) - 1
+    counts, leaves, *columns = ridges_of(triangles, begin, fragment.radius[first:end], fragment.middle[first:end])
+    table["first"].append(table["rows"].used + leaves[:-1])
+    table["count"].append(counts)
+    for name, values in zip(("rows", "boxes", "most", "lines"), columns, strict=True):
+        table[name].append(values.reshape(leaves[-1], *table[name].view.shape[1:]))
+
+
+@kernel
+def ridges_of(triangles, begin, radii, middles):
+    """Of fragments with triangles begin[k] .. begin[k + 1]: counts, first leaves, and columns of Ridges.
+
+    radii (k,) [m], middles (k, 4): see FragmentPool. First leaves (k + 1,) include the end.
+    """
+    fragments, used, found = len(begin) - 1, 0, np.empty((_FIRST_ROOM, RIDGE))
+    counts, leaves = np.empty(fragments, np.int64), np.zeros(fragments + 1, np.int64)
+    for k in range(fragments):
+        own = triangles[begin[k] : begin[k + 1]]
+        counts[k] = find_ridges(own, radii[k], found[used:])
+        if counts[k] > len(found) - used:
+            found = np.vstack((found[:used], np.empty((used + 2 * counts[k], RIDGE))))
+            find_ridges(own, radii[k], found[used:])
+        used += counts[k]
+        leaves[k + 1] = leaves[k] - (-counts[k] // LEAF)
+    n, at = leaves[-1], 0
+    rows, boxes, most, lines = (
+        np.empty((LEAF * n, RIDGE)), np.empty(6 * n, np.float32), np.empty((n, 2), np.float32),
+        np.empty((n, LINE, LEAF), np.float32),
+    )  # fmt: skip
+    for k in range(fragments):
+        i, j = leaves[k], leaves[k + 1]
         _put_on_curve(
-            room, count, pools.fragment.middle[f], rows.reshape(-1, RIDGE), boxes.reshape(-1), most,
-            lines.reshape(-1, LINE, LEAF),
-        )  # fmt: skip
-        table["first"].append(np.array([table["rows"].advance(leaves)]))
-        for name in ("boxes", "most", "lines"):
-            table[name].advance(leaves)
-        table["count"].append(np.array([count]))
+            found[at:], counts[k], middles[k], rows[LEAF * i : LEAF * j], boxes[6 * i : 6 * j], most[i:j], lines[i:j]
+        )
+        at += counts[k]
+    return counts, leaves, rows, boxes, most, lines
 
 
 @kernel

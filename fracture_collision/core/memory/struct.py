@@ -37,7 +37,10 @@ WORD = ir.IntType(64)
 ADDRESS = WORD.as_pointer()
 # Words of an array before its shape and strides: number of items, address.
 BEFORE_SHAPE = 2
+# numba takes some 50 us to find a type, and each event changes some dozen structures.
 _types_of_arrays: dict[tuple, types.Type] = {}
+_types_of_numbers: dict[type, types.Type] = {}
+_struct_types: dict[tuple, StructType] = {}
 
 
 @dataclass_transform(eq_default=False, frozen_default=True)
@@ -51,7 +54,7 @@ class Struct:
     @cached_property
     def _numba_type_(self) -> StructType:
         names = type(self)._fields  # type: ignore[attr-defined]
-        return StructType(type(self), tuple((name, _type_of(getattr(self, name))) for name in names))
+        return _struct_type(type(self), tuple((name, _type_of(getattr(self, name))) for name in names))
 
     @cached_property
     def _block(self) -> np.ndarray:
@@ -88,7 +91,19 @@ class StructType(types.Type):
         return None
 
 
+def _struct_type(of: type, members: tuple[tuple[str, types.Type], ...]) -> StructType:
+    if (of, members) not in _struct_types:
+        _struct_types[of, members] = StructType(of, members)
+    return _struct_types[of, members]
+
+
 def _type_of(value: Any) -> types.Type:
+    if isinstance(value, Struct):
+        return value._numba_type_
+    if isinstance(value, (bool, int, float)):
+        if type(value) not in _types_of_numbers:
+            _types_of_numbers[type(value)] = typeof(value)
+        return _types_of_numbers[type(value)]
     if not isinstance(value, np.ndarray):
         return typeof(value)
     key = value.dtype, value.ndim, value.flags.num

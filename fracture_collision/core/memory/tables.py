@@ -136,7 +136,7 @@ class GrowableArray:
     @property
     def row_bytes(self) -> int:
         """Size of a row [bytes]."""
-        return self._buffer.dtype.itemsize * int(np.prod(self._buffer.shape[1:], dtype=np.int64))
+        return self._buffer.strides[0]
 
     @property
     def view(self) -> np.ndarray:
