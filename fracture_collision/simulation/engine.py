@@ -35,7 +35,6 @@ import numpy as np
 
 from fracture_collision import portable_math
 from fracture_collision.kernel_sources import cached_njit
-from fracture_collision.portable_math import lengths
 from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.rotations import (
     crossed,
@@ -272,12 +271,22 @@ def planned(fragment_ids: np.ndarray, pushes: Pushes, taken: ByFragment) -> Plan
     taken: (m, 6) by contacts in the last step. They are expected again, as for a hammer that presses against a wall,
     but no larger than the push: the blow of a hammer that has just hit the wall does not repeat.
     """
-    by_contacts = taken.of(fragment_ids)
-    for part in (slice(0, 3), slice(3, 6)):
-        pushed, lost = lengths(pushes.velocities[:, part]), lengths(by_contacts[:, part])
-        by_contacts[:, part] *= np.minimum(1.0, pushed / np.where(lost > 0.0, lost, 1.0))[:, None]
-    left = ByFragment(fragment_ids, pushes.velocities + by_contacts)
+    left = ByFragment(fragment_ids, _left_of(pushes.velocities, taken.of(fragment_ids)))
     return Planned(ByFragment(fragment_ids, pushes.velocities), pushes.energy, left)
+
+
+@cached_njit
+def _left_of(pushed, taken):
+    """Pushes (n, 6) and what contacts take (n, 6) of them, no more than they are."""
+    left = pushed + taken
+    for i in range(len(pushed)):
+        for part in (0, 3):
+            p, t = pushed[i, part : part + 3], taken[i, part : part + 3]
+            lost = math.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
+            share = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) / lost if lost > 0.0 else 0.0
+            for k in range(3):
+                left[i, part + k] = p[k] + t[k] * min(1.0, share)
+    return left
 
 
 def pushes_of(

@@ -63,12 +63,11 @@ from fracture_collision.simulation.solver.contact_solver import (
     RigidBodies,
     Solution,
     bounce_speeds,
+    flight_drift,
     hardest_hit,
-    kinetic_energies,
     kinetic_energy,
     solve_contacts,
     solve_with_strengths,
-    sums_of_bodies,
 )
 from fracture_collision.simulation.solver.touch_ahead import Course, StepContacts, shares_of_step, split_by_gap
 from fracture_collision.simulation.solver.warm_start import NO_WARM_START
@@ -426,26 +425,13 @@ class Simulation:
         self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, solution: Solution,
         is_other: np.ndarray,
     ) -> np.ndarray:  # fmt: skip
-        """Drift (n, 6) by which the poses of bodies in free flight follow the parabola, and keep angular momentum.
-
-        So do those that only bounce off, as far as they lost enough energy. is_other (n,) bool: are not in free flight.
-        """
-        before, free, spans, gravity = bodies.velocities, bodies.free_velocities, bodies.spans, self._scene.gravity
-        hit, pressed = (
-            sums_of_bodies(impulses, contacts, pairs, len(spans)) > 0.0
-            for impulses in (solution.normal_impulses, solution.pressing)
-        )
-        turned = mean_spins(before, free, bodies.inertias, spans) - free[:, 3:]
-        fallen = -0.5 * spans[:, None] * gravity
-        work = 0.5 * bodies.masses * spans * spans * float((gravity * gravity).sum())  # [J] by which they rise
-        if hit.any() and work.any():
-            had, have = (
-                kinetic_energies(bodies.masses, bodies.inertias, u) for u in (before, solution.velocities)
-            )
-            lost = had - have + bodies.masses * spans * dots(solution.velocities[:, :3], gravity)
-            fallen[hit] *= np.clip(lost / work, 0.0, 1.0)[hit, None]
-        turned[hit] = 0.0
-        return np.where((is_other | pressed)[:, None], 0.0, np.hstack((fallen, turned)))
+        """flight_drift; is_other (n,) bool: are not in free flight."""
+        free = bodies.free_velocities
+        turned = mean_spins(bodies.velocities, free, bodies.inertias, bodies.spans) - free[:, 3:]
+        return flight_drift(
+            bodies, turned, self._scene.gravity, (solution.velocities, solution.normal_impulses), is_other,
+            (solution.pressing, contacts.pair_begin, pairs.body_a, pairs.body_b),
+        )  # fmt: skip
 
     def _body_pairs(self, shared: SharedTraits, rest_gaps: np.ndarray) -> BodyPairs:
         bounces = bounce_speeds(self._scene.solver, shared.sizes, self._scene.gravity)

@@ -46,8 +46,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.portable_math import dots, images, lengths
+from fracture_collision.kernel_sources import cached_njit
+from fracture_collision.portable_math import lengths
 from fracture_collision.records import ContactConstraintArray, documented
+from fracture_collision.simulation.compiled import uncounted
 from fracture_collision.simulation.solver.contact_islands import Bodies, Contacts, Result, islands_of, solve_islands
 from fracture_collision.simulation.solver.warm_start import WarmStart, carried_impulses
 
@@ -185,27 +187,74 @@ def bounce_speeds(settings: SolverSettings, sizes: np.ndarray, gravity: np.ndarr
     return np.sqrt(2.0 * float(lengths(gravity)) * settings.restitution_height * sizes)
 
 
-def sums_of_bodies(
-    impulses: np.ndarray, contacts: ContactConstraintArray, pairs: BodyPairs, body_count: int
-) -> np.ndarray:
-    """Sum of `impulses` (N,) over the contacts of each body: (n,). A body squeezed between two counts both sides."""
-    repeat: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
-    sums = np.zeros(body_count + 1)
-    for body in (pairs.body_a, pairs.body_b):
-        np.add.at(sums, np.repeat(body, repeat), impulses)
+@cached_njit
+def sums_of_bodies(impulses, begin, body_a, body_b, count):
+    """Sum of `impulses` (N,) over the contacts of each of `count` bodies. One squeezed between two counts both sides.
+
+    begin (p + 1,): contacts by pairs; body_a, body_b (p,): their bodies.
+    """
+    sums = np.zeros(count + 1)
+    for body in (body_a, body_b):
+        for pair in range(len(body)):
+            for c in range(begin[pair], begin[pair + 1]):
+                sums[body[pair]] += impulses[c]
     return sums[:-1]
 
 
 def kinetic_energy(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndarray) -> float:
     """Kinetic energy [J] of n bodies with velocities (n, 6), all together."""
-    v, w = velocities[:, :3], velocities[:, 3:]
-    return float(0.5 * ((masses * dots(v, v)).sum() + dots(w, images(inertias, w)).sum()))
+    moving, turning = _doubled_energies(masses, inertias, velocities)
+    return float(0.5 * (moving.sum() + turning.sum()))
 
 
-def kinetic_energies(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndarray) -> np.ndarray:
-    """(n,) [J] of each of n bodies with velocities (n, 6)."""
-    v, w = velocities[:, :3], velocities[:, 3:]
-    return 0.5 * (masses * dots(v, v) + dots(w, images(inertias, w)))
+@cached_njit
+def _doubled_energies(masses, inertias, velocities):
+    """Twice the kinetic energies [J] of n bodies by their motion, and by their spin: (n,) each."""
+    moving, turning = np.empty(len(masses)), np.empty(len(masses))
+    for i in range(len(masses)):
+        moving[i], turning[i] = _doubled_energy(masses[i], inertias[i], velocities[i])
+    return moving, turning
+
+
+@uncounted
+def _doubled_energy(mass, inertia, u):
+    x = inertia[0, 0] * u[3] + inertia[0, 1] * u[4] + inertia[0, 2] * u[5]
+    y = inertia[1, 0] * u[3] + inertia[1, 1] * u[4] + inertia[1, 2] * u[5]
+    z = inertia[2, 0] * u[3] + inertia[2, 1] * u[4] + inertia[2, 2] * u[5]
+    return mass * (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]), u[3] * x + u[4] * y + u[5] * z
+
+
+@cached_njit
+def flight_drift(bodies, turned, gravity, result, is_other, pressed_by):
+    """Drift (n, 6) by which the poses of RigidBodies in free flight follow the parabola, and keep angular momentum.
+
+    turned (n, 3): the spins that keep it; result: velocities (n, 6) after the step, and the contacts' impulses (N,);
+    is_other (n,) bool: are not in free flight; pressed_by: impulses (N,) without those of impacts, and contacts by
+    pairs, see sums_of_bodies. Bodies that only bounce off fall, as far as they lost enough energy, and keep their turn.
+    """
+    (velocities, impulses), (pressing, begin, body_a, body_b) = result, pressed_by
+    drift, count = np.zeros((len(bodies.masses), 6)), len(bodies.masses)
+    hit, pressed = (
+        sums_of_bodies(impulses, begin, body_a, body_b, count) > 0.0,
+        sums_of_bodies(pressing, begin, body_a, body_b, count) > 0.0,
+    )
+    square = gravity[0] * gravity[0] + gravity[1] * gravity[1] + gravity[2] * gravity[2]
+    for i in range(count):
+        if is_other[i] or pressed[i]:
+            continue
+        mass, span, u, share = bodies.masses[i], bodies.spans[i], velocities[i], 1.0
+        if hit[i]:
+            had, had_turning = _doubled_energy(mass, bodies.inertias[i], bodies.velocities[i])
+            have, have_turning = _doubled_energy(mass, bodies.inertias[i], u)
+            work = 0.5 * mass * span * span * square  # [J] by which it rises
+            falls = u[0] * gravity[0] + u[1] * gravity[1] + u[2] * gravity[2]
+            lost = 0.5 * (had + had_turning) - 0.5 * (have + have_turning) + mass * span * falls
+            if work > 0.0:
+                share = min(max(lost / work, 0.0), 1.0)
+        for k in range(3):
+            drift[i, k] = -0.5 * span * gravity[k] * share
+            drift[i, 3 + k] = 0.0 if hit[i] else turned[i, k]
+    return drift
 
 
 def solve_with_strengths(
@@ -218,7 +267,7 @@ def solve_with_strengths(
     """
     solution = solve_contacts(bodies, contacts, pairs, warm_start, settings)
     count, limits = len(bodies.masses), np.full(len(contacts.gaps), np.inf)
-    loads = sums_of_bodies(solution.normal_impulses, contacts, pairs, count)
+    loads = sums_of_bodies(solution.normal_impulses, contacts.pair_begin, pairs.body_a, pairs.body_b, count)
     overloaded = np.flatnonzero(loads > strengths)
     if len(overloaded):
         share = np.ones(count + 1)

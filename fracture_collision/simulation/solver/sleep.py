@@ -46,6 +46,8 @@ def roused(
     """
     if not len(fragment_ids):
         return NOBODY
+    if fragment_ids is before.fragment_ids and not is_pushed.any():
+        return before
     at = np.minimum(np.searchsorted(before.fragment_ids, fragment_ids), max(len(before.fragment_ids) - 1, 0))
     known = before.fragment_ids[at] == fragment_ids if len(before.fragment_ids) else np.zeros(len(fragment_ids), bool)
     quiet, asleep, moved = np.zeros(len(fragment_ids)), np.zeros(len(fragment_ids), bool), np.zeros((len(at), 6))

@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.grouping import begins_of
 from fracture_collision.kernel_sources import cached_njit
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.compiled import uncounted
@@ -119,16 +118,41 @@ def _split(begin, gaps, most):
 
 def chosen_contacts(contacts: ContactConstraintArray, chosen: np.ndarray, stays: np.ndarray) -> ContactConstraintArray:
     """The `chosen` (N,) contacts, and the pairs that have any or `stays` (p,)."""
-    before = np.append(0, np.cumsum(chosen))[contacts.pair_begin]  # of the chosen
-    counts = before[1:] - before[:-1]
-    stays = stays | (counts > 0)
-    return contacts._replace(
-        fragment_a=contacts.fragment_a[stays], fragment_b=contacts.fragment_b[stays],
-        pair_begin=begins_of(counts[stays]).astype(contacts.pair_begin.dtype),
-        missed_depth_bound=contacts.missed_depth_bound[stays], friction=contacts.friction[stays],
-        restitution=contacts.restitution[stays], points_a=contacts.points_a[chosen], points_b=contacts.points_b[chosen],
-        normals=contacts.normals[chosen], gaps=contacts.gaps[chosen], contact_ids=contacts.contact_ids[chosen],
+    of_pairs = (
+        contacts.fragment_a, contacts.fragment_b, contacts.missed_depth_bound, contacts.friction, contacts.restitution
     )  # fmt: skip
+    of_contacts = contacts.points_a, contacts.points_b, contacts.normals, contacts.gaps, contacts.contact_ids
+    begin, (fragment_a, fragment_b, bounds, friction, restitution), (points_a, points_b, normals, gaps, ids) = (
+        _chosen(contacts.pair_begin, chosen, stays, of_pairs, of_contacts)
+    )  # fmt: skip
+    return contacts._replace(
+        fragment_a=fragment_a, fragment_b=fragment_b, pair_begin=begin, missed_depth_bound=bounds, friction=friction,
+        restitution=restitution, points_a=points_a, points_b=points_b, normals=normals, gaps=gaps, contact_ids=ids,
+    )  # fmt: skip
+
+
+@cached_njit
+def _chosen(begin, chosen, stays, of_pairs, of_contacts):
+    count, kept = 0, np.empty(len(stays), np.bool_)
+    for pair in range(len(stays)):
+        kept[pair] = stays[pair]
+        for c in range(begin[pair], begin[pair + 1]):
+            kept[pair] |= chosen[c]
+        count += kept[pair]
+    begins, at, used = np.zeros(count + 1, begin.dtype), 0, 0
+    for pair in range(len(stays)):
+        for c in range(begin[pair], begin[pair + 1]):
+            used += chosen[c]
+        if kept[pair]:
+            at += 1
+            begins[at] = used
+    fragment_a, fragment_b, bounds, friction, restitution = of_pairs
+    points_a, points_b, normals, gaps, ids = of_contacts
+    return (
+        begins,
+        (fragment_a[kept], fragment_b[kept], bounds[kept], friction[kept], restitution[kept]),
+        (points_a[chosen], points_b[chosen], normals[chosen], gaps[chosen], ids[chosen]),
+    )
 
 
 def shares_of_step(
