@@ -219,6 +219,7 @@ def test_what_needs_ros_says_so(without_ros: Path, words: str) -> None:
     assert "pip install '.[ros]'" in " ".join(done.stderr.split())
 
 
+@pytest.mark.slow
 def test_colcon_builds_the_package(workplace: Path, sources: Path, environment_copy: Path) -> None:
     prefix = environment_copy
     environment = clean_environment(

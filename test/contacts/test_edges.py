@@ -192,6 +192,7 @@ def counts(judged: Iterable[PairDepth]) -> tuple[int, int]:
     return sum(it.is_missed for it in judged), sum(it.is_too_shallow for it in judged)
 
 
+@pytest.mark.slow
 def test_edges_find_most_penetrations_that_samples_miss() -> None:
     """Except deep penetration in the middle of a body, where the deepest point is on a face."""
     shapes = {name: COARSE_SHAPES[name] for name in ("brick", "l_block")}

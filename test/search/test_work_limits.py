@@ -48,7 +48,7 @@ def test_a_thousand_bodies_in_one_place_are_rejected_with_an_explanation() -> No
     assert refused.value.kind == "limit_exceeded"
 
 
-@pytest.mark.parametrize("count", [300, 1000])
+@pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ["boxes", "mixed"])
 def test_memory_for_a_crowd_is_limited(kind: str, count: int) -> None:
     """The whole process, including its answer, stays below 500 MB."""

@@ -30,7 +30,9 @@ def at_the_end(name, curvature, seed, hooks=True):
 
 
 # Runs in which shards used to hang beside the rack by outdated contacts, or by its edge.
-@pytest.mark.parametrize(("curvature", "seed"), [(0.25, 7), (0.25, 9), (0.0, 0)])
+@pytest.mark.parametrize(("curvature", "seed"), [
+    (0.25, 7), *(pytest.param(*run, marks=pytest.mark.slow) for run in ((0.25, 9), (0.0, 0)))
+])
 def test_no_shard_of_the_default_demo_floats(curvature, seed):
     support, report = at_the_end("plates", curvature, seed, hooks=False)
     assert support.unsupported == []

@@ -134,6 +134,7 @@ def test_a_scene_is_judged_and_seeds_differ() -> None:
     assert one.found != other.found
 
 
+@pytest.mark.slow
 def test_interlocked_bricks_come_to_rest_and_apart() -> None:
     """They ended 0.8 % R deep in each other, where no translation parts them, or never came to rest."""
     found = run_of("bricks", "own", 2).found
@@ -141,6 +142,7 @@ def test_interlocked_bricks_come_to_rest_and_apart() -> None:
     assert found.overlap.depth <= EPSILON
 
 
+@pytest.mark.slow
 def test_a_piece_on_a_nearly_flat_edge_is_supported() -> None:
     """It lies 0.02 mm from an edge that is searched for no crossings; the nearest samples are 0.23 mm away."""
     assert not run_of("reference_sphere", "own", 7).found.unsupported
