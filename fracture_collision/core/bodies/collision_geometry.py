@@ -188,7 +188,7 @@ class CollisionGeometry:
         self._choose_seeds(broken, len(prepared.mesh.edges), touched)
         if self.paper is not None:
             self.paper.break_fragment(self.pools, broken, new, (touched.rows, cut.first_plane), prepared.paper[0])
-        self._add_shapes(broken.first, broken.end)
+        self._find_ridges(broken.first, broken.end)
         return broken.first
 
     @staticmethod
@@ -283,16 +283,16 @@ class CollisionGeometry:
         given = {name: np.asarray(value)[None] for name, value in values.items()} | samples
         row = tables.fragment.append_row(**given)
         tables.measures.append_row(gaps=np.array([gap]))
-        self._add_shapes(row, row + 1)
+        self._find_ridges(row, row + 1)
         if self.paper is not None and not samples:
             self.paper.add_without_tree()
         return row
 
-    def _add_shapes(self, first: int, end: int) -> None:
+    def _find_ridges(self, first: int, end: int) -> None:
         if self.paper is None:
             triangles, begin = triangles_of(self.pools, first, end)
-            surface, ends = append_shapes(self._tables.shapes, triangles, begin)
-            append_ridges(self._tables.ridges, self.pools, first, tuple(surface[:5]), ends)
+            append_ridges(self._tables.ridges, self.pools, first, triangles, begin)
+            append_shapes(self._tables.shapes, triangles, begin)
 
     def _mesh_row(self, prepared: PreparedMesh) -> int:
         row = next((k for k, known in enumerate(self._meshes) if known is prepared), None)

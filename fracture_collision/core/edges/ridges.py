@@ -11,11 +11,22 @@ from typing import Annotated
 
 import numpy as np
 
-from fracture_collision.core.memory.compiled import kernel
+from fracture_collision.core.memory.compiled import kernel, query_kernel
 from fracture_collision.core.memory.pools import FRAGMENT, LEAF, Pools
 from fracture_collision.core.memory.struct import Struct
 from fracture_collision.core.memory.tables import Column, Table
-from fracture_collision.core.memory.vectors import cross, divided, dot, length, minus, plus, vector
+from fracture_collision.core.memory.vectors import (
+    area_vector,
+    corners_of,
+    cross,
+    divided,
+    dot,
+    hash_of,
+    length,
+    minus,
+    plus,
+    vector_at,
+)
 from fracture_collision.core.samples.sample_leaves import place_on_curve
 
 # Minimum turn of the surface at a ridge (chord of the angle), and minimum length as a share of R: where flatter or
@@ -31,6 +42,8 @@ LENGTH, TURN = 15, 16  # [m]; chord of the angle between these normals, 2 where 
 RIDGE = 17
 # Columns of `lines`, for each ridge of a leaf: begin [m], direction, and as above.
 LINE_BEGIN, ALONG, LINE_LENGTH, LINE_TURN, LINE = 0, 3, 6, 7, 8
+_FIRST_ROOM = 4096
+_MORE_THAN_EDGES = 2  # places of the hash table for each edge
 
 
 RIDGE_LEAF = "ridge leaf"
@@ -53,14 +66,10 @@ class Ridges(Struct):
 NO_RIDGES = Table(Ridges).view
 
 
-def append_ridges(table: Table[Ridges], pools: Pools, first: int, surface: tuple, ends: np.ndarray) -> None:
-    """Add the ridges of the fragments from row `first` on, which were made last.
-
-    surface: corners, triangles, normals, convex edges and the triangles beside these, see patches/surface.py, of all of
-    them; ends (k, 3): of each one's corners, triangles and edges in these.
-    """
-    fragment, end = pools.fragment, first + len(ends)
-    counts, leaves, *columns = ridges_of(surface, ends, fragment.radius[first:end], fragment.middle[first:end])
+def append_ridges(table: Table[Ridges], pools: Pools, first: int, triangles: np.ndarray, begin: np.ndarray) -> None:
+    """Add the ridges of the fragments from row `first` on, which were made last, by their triangles_of."""
+    fragment, end = pools.fragment, first + len(begin) - 1
+    counts, leaves, *columns = ridges_of(triangles, begin, fragment.radius[first:end], fragment.middle[first:end])
     table["first"].append(table["rows"].used + leaves[:-1])
     table["count"].append(counts)
     for name, values in zip(("rows", "boxes", "most", "lines"), columns, strict=True):
@@ -68,22 +77,20 @@ def append_ridges(table: Table[Ridges], pools: Pools, first: int, surface: tuple
 
 
 @kernel
-def ridges_of(surface, ends, radii, middles):
-    """Of k fragments: counts, first leaves, and columns of Ridges; surface, ends: see append_ridges.
+def ridges_of(triangles, begin, radii, middles):
+    """Of fragments with triangles begin[k] .. begin[k + 1]: counts, first leaves, and columns of Ridges.
 
     radii (k,) [m], middles (k, 4): see FragmentPool. First leaves (k + 1,) include the end.
     """
-    corners, triangles, normals, edges, beside = surface
-    found, used = np.empty((len(edges), RIDGE)), 0
-    fragments, begin = len(ends), np.zeros(3, np.int64)
+    fragments, used, found = len(begin) - 1, 0, np.empty((_FIRST_ROOM, RIDGE))
     counts, leaves = np.empty(fragments, np.int64), np.zeros(fragments + 1, np.int64)
     for k in range(fragments):
-        end = ends[k]
-        counts[k] = _put_ridges(
-            corners[begin[0] : end[0]], normals[begin[1] : end[1]], edges[begin[2] : end[2]],
-            beside[begin[2] : end[2]], radii[k], found[used:],
-        )  # fmt: skip
-        used, begin = used + counts[k], end
+        own = triangles[begin[k] : begin[k + 1]]
+        counts[k] = find_ridges(own, radii[k], found[used:])
+        if counts[k] > len(found) - used:
+            found = np.vstack((found[:used], np.empty((used + 2 * counts[k], RIDGE))))
+            find_ridges(own, radii[k], found[used:])
+        used += counts[k]
         leaves[k + 1] = leaves[k] - (-counts[k] // LEAF)
     n, at = leaves[-1], 0
     rows, boxes, most, lines = (
@@ -100,33 +107,69 @@ def ridges_of(surface, ends, radii, middles):
 
 
 @kernel
-def _put_ridges(corners, normals, edges, beside, radius, out):
-    """Write those convex edges of a surface that are ridges to out (n, RIDGE); returns their number.
+def find_ridges(triangles, radius, out):
+    """Write the ridges of a surface as rows to out (n, RIDGE), as far as there is room; returns their total number.
 
-    radius [m]: R of the fragment. An edge of one triangle alone borders one lost to rounding, and is left out.
+    triangles (t, 9) [m]: corners, counter-clockwise from outside; radius [m]: R of the fragment.
+
+    Triangles of a surface share whole edges, whose ends are equal to the last bit in both; they are matched by a hash
+    of these. An edge of one triangle alone borders a triangle lost to rounding, and is left out.
     """
-    used = 0
-    for e in range(len(edges)):
-        if beside[e, 0] == beside[e, 1]:
+    edges = 3 * len(triangles)
+    places = 16
+    while places < _MORE_THAN_EDGES * edges:
+        places *= 2
+    seen_at = np.full(places, -1, np.int32)
+    # ends, across it into the face, normal of the face
+    seen, is_open = np.empty((edges, 12)), np.ones(edges, np.bool_)
+    count, used = 0, 0
+    for c in triangles:
+        n = area_vector(corners_of(c))
+        area = length(n)
+        if not area > 0.0:
             continue
-        p, q = vector(corners, edges[e, 0]), vector(corners, edges[e, 1])
-        one, other = vector(normals, beside[e, 0]), vector(normals, beside[e, 1])
-        size = length(minus(q, p))
-        first, second = cross(one, divided(minus(q, p), size)), cross(other, divided(minus(p, q), size))
-        turn = math.sqrt(max(2.0 * (1.0 + second[0] * first[0] + second[1] * first[1] + second[2] * first[2]), 0.0))
-        if not dot(second, one) < 0.0 or turn < LEAST_TURN or size < LEAST_LENGTH * radius:
-            continue
-        row = out[used]
-        row[0], row[1], row[2] = p
-        row[3], row[4], row[5] = q
-        row[6], row[7], row[8] = first
-        row[9], row[10], row[11] = second
-        # where the faces fold back there is no half-way normal
-        outward = minus(minus(plus(one, other), first), second)
-        row[12], row[13], row[14] = divided(outward, length(outward))
-        row[LENGTH], row[TURN] = size, turn
-        used += 1
+        n = divided(n, area)
+        for i in range(3):
+            p, q = vector_at(c, 3 * i), vector_at(c, 3 * ((i + 1) % 3))
+            size = length(minus(q, p))
+            if not size > 0.0:
+                continue
+            inward = cross(n, divided(minus(q, p), size))
+            place = hash_of(plus(p, q)) & (places - 1)
+            while seen_at[place] >= 0 and not (
+                is_open[seen_at[place]] and _is_reverse(seen[seen_at[place]], p, q)
+            ):
+                place = (place + 1) & (places - 1)
+            if seen_at[place] < 0:
+                seen_at[place], r = count, seen[count]
+                r[0], r[1], r[2] = p
+                r[3], r[4], r[5] = q
+                r[6], r[7], r[8] = inward
+                r[9], r[10], r[11] = n
+                count += 1
+                continue
+            r = seen[seen_at[place]]
+            is_open[seen_at[place]] = False
+            turn = math.sqrt(max(2.0 * (1.0 + inward[0] * r[6] + inward[1] * r[7] + inward[2] * r[8]), 0.0))
+            falls_away = dot(inward, vector_at(r, 9)) < 0.0
+            if not falls_away or turn < LEAST_TURN or size < LEAST_LENGTH * radius:
+                continue
+            if used < len(out):
+                row = out[used]
+                for d in range(9):
+                    row[d] = r[d]
+                row[9], row[10], row[11] = inward
+                # where the faces fold back there is no half-way normal
+                outward = minus(minus(plus(vector_at(r, 9), n), vector_at(r, 6)), inward)
+                row[12], row[13], row[14] = divided(outward, length(outward))
+                row[LENGTH], row[TURN] = size, turn
+            used += 1
     return used
+
+
+@query_kernel
+def _is_reverse(row, p, q):
+    return vector_at(row, 0) == q and vector_at(row, 3) == p
 
 
 @kernel

@@ -46,11 +46,8 @@ class Shapes(Struct):
 NO_SHAPES = Table(Shapes).view
 
 
-def append_shapes(table: Table[Shapes], triangles: np.ndarray, begin: np.ndarray) -> tuple[Surface, np.ndarray]:
-    """Add the shapes of the next fragments, by their triangles_of.
-
-    Returns their surfaces, all together, and where each one's corners, triangles and edges end in these (k, 3).
-    """
+def append_shapes(table: Table[Shapes], triangles: np.ndarray, begin: np.ndarray) -> None:
+    """Add the shapes of the next fragments, by their triangles_of."""
     ends, size, is_convex, hull, surface = shapes_of(triangles, begin)
     hulls, surfaces = table.tables["hull"], table.tables["surface"]
     first = np.array([
@@ -64,7 +61,6 @@ def append_shapes(table: Table[Shapes], triangles: np.ndarray, begin: np.ndarray
     table["end"].append(first + ends)
     table["size"].append(size)
     table["is_convex"].append(is_convex)
-    return surface, np.ascontiguousarray(ends[:, 3:])
 
 
 class Geometry(Struct):
