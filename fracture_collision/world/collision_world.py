@@ -16,6 +16,7 @@ from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.pair import Step
 from fracture_collision.core.pair.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
 from fracture_collision.core.pair.narrow_phase import NOTHING_REMEMBERED, Remembered, Scene, query_pairs
+from fracture_collision.core.patches.interlocked import SurfaceTable
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.passes import within_limit
 from fracture_collision.core.search.scratch import Scratch, scratch_for
@@ -77,6 +78,8 @@ class CollisionWorld:
         self._scratch: tuple[Scratch, ...] = ()
         # Caches of the last answer, each with the state it is valid for; they speed up the next one, never change it
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, self._what_is_remembered_of()
+        self._whole, self._whole_of = SurfaceTable(), (self._registry, self._registry.renumbered)
+        self._whole_at = self._registry.changes
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
@@ -194,7 +197,7 @@ class CollisionWorld:
 
     def _scene(self, step: Step, motion: Motion) -> Scene:
         geometry = self._registry.geometry
-        return Scene(geometry.searched, step, motion, self._registry.changes, True)
+        return Scene(geometry.searched, step, motion, self._registry.changes, self._whole_surfaces())
 
     @property
     def geometry(self) -> CollisionGeometry:
@@ -301,6 +304,18 @@ class CollisionWorld:
         remembered = self._remembered if self._remembered_of == holds_for else NOTHING_REMEMBERED
         self._remembered, self._remembered_of = NOTHING_REMEMBERED, holds_for
         return remembered
+
+    def _whole_surfaces(self) -> SurfaceTable:
+        """Surfaces of concave fragments, built on demand; as they are divided now, whenever that is."""
+        registry, (known, renumbered) = self._registry, self._whole_of
+        if known is registry and renumbered + 1 == registry.renumbered and registry.moves is not None:
+            self._whole.renumber(registry.moves)
+        elif known is not registry or renumbered != registry.renumbered:
+            self._whole, self._whole_at = SurfaceTable(), registry.changes
+        if self._whole_at != registry.changes:
+            self._whole.forget(registry.rows_broken_since(self._whole_at))
+        self._whole_of, self._whole_at = (registry, registry.renumbered), registry.changes
+        return self._whole
 
     def _what_is_remembered_of(self) -> tuple[Registry, int, Settings]:
         return self._registry, self._registry.renumbered, self.settings

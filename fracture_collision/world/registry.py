@@ -8,6 +8,7 @@ import numpy as np
 
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.core.glondu2014.paper_geometry import PaperGeometry
+from fracture_collision.core.memory.tables import Moves
 from fracture_collision.records import FragmentRegistry
 from fracture_collision.world.gates.body_gate import CheckedBody
 from fracture_collision.world.gates.checks import UINT64_MAX
@@ -25,6 +26,7 @@ class Registry:
         )
         self.sequence = 0
         self.renumbered = 0  # number of times the rows of all fragments were renumbered
+        self.moves: Moves | None = None  # of these rows, the last time
         self.changes = 0  # number of changes of any kind
         self._centers, self._centers_at = np.zeros((0, 3)), 0  # of mass, of all living; `changes` when computed
         self._bodies: dict[int, CheckedBody] = {}
@@ -32,6 +34,7 @@ class Registry:
         self._chain = hashlib.sha256().digest()
         self._living = LivingFragments()
         self._fragments_of: dict[int, set[int]] = {}  # body id -> its living fragments
+        self._broke_at: dict[int, int] = {}  # body id -> `changes` when it last broke
 
     def add_body(self, body: CheckedBody) -> None:
         """Add a body with its one fragment before any fracture."""
@@ -56,6 +59,7 @@ class Registry:
         """Replays nothing: other bodies stay as they are. Memory is reclaimed once half of it is garbage."""
         self.changes += 1
         del self._bodies[body_id]
+        self._broke_at.pop(body_id, None)
         for fragment_id in self._fragments_of.pop(body_id):
             self._living.remove(fragment_id)
         self.geometry.retire_body()
@@ -69,6 +73,7 @@ class Registry:
         body = self._bodies.get(event.body_id)
         if body is None:
             return
+        self._broke_at[body.body_id] = self.changes
         self._fragments_of[body.body_id].remove(event.fragment_id)
         first = apply_fracture(self.geometry, self._living.remove(event.fragment_id), event)
         for i, new_id in enumerate(event.new_fragment_ids.tolist()):
@@ -78,8 +83,15 @@ class Registry:
     def _reclaim_memory(self) -> None:
         if self.geometry.is_mostly_garbage():
             rows = self._living.columns().rows
-            self._living.renumber(self.geometry.keep_only(rows).of(rows))
+            self.moves = self.geometry.keep_only(rows)
+            self._living.renumber(self.moves.of(rows))
             self.renumbered += 1
+
+    def rows_broken_since(self, changes: int) -> np.ndarray:
+        """Rows of the fragments (n,) of bodies that broke since there were so many `changes`."""
+        broken = [body for body, at in self._broke_at.items() if at > changes]
+        rows = [self._living.row_of(fragment) for body in broken for fragment in self._fragments_of[body]]
+        return np.array(rows, np.int64)
 
     def living(self) -> Columns:
         """Living fragments by ascending id."""

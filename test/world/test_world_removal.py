@@ -10,6 +10,7 @@ from fracture_collision import fracture
 from fracture_collision.core.bodies import collision_geometry
 from fracture_collision.core.bodies.body_validator import validate_body
 from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
+from fracture_collision.core.patches.interlocked import SurfaceTable, _surface_at
 from fracture_collision.geometry.generators import ball
 from fracture_collision.records import BOX, REMOVE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
 from fracture_collision.world import CollisionWorld, Settings
@@ -205,3 +206,29 @@ def test_events_of_a_removed_body_keep_no_arrays() -> None:
         each.contacts(ask)
     assert world.fragments().digest == late.fragments().digest
     assert len(BRICK.vertices) == world.settings.max_nodes - world._ledger._room_for_nodes + len(BRICK.vertices)
+
+
+def test_surfaces_kept_over_fractures_and_reclaimed_memory_equal_new_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(CollisionGeometry, "is_mostly_garbage", lambda self: True)
+    world, random = CollisionWorld(SETTINGS), np.random.default_rng(3)
+    for body in (breakable(10), breakable(20), rigid(30), box(40), breakable(50)):
+        world.add_body(body)
+    events, kept, made, last = list[FractureEvent](), 0, 0, {10: 10, 20: 20}
+    for turn in range(6):
+        number = 10 if turn % 3 == 2 else 20
+        event = fracture.voronoi(
+            breakable(number), 4, turn, fragment_id=last[number], after=events, first_new_id=100 * (turn + 1)
+        )
+        events.append(event)
+        last[number] = int(event.new_fragment_ids[np.bincount(event.node_fragments).argmax()])
+        world.add_fracture(event)
+        world.fragments()
+        pools, rows = world.geometry.pools, np.sort(world._registry.living().rows)
+        table = world._whole_surfaces()
+        table.of(pools, np.sort(random.choice(rows, len(rows) // 2, replace=False)))
+        ours, fresh = table.of(pools, rows), SurfaceTable().of(pools, rows)
+        kept, made = kept + np.count_nonzero(ours.stamps[rows] <= made), ours.stamps.max()
+        for row in rows.tolist():
+            for mine, right in zip(_surface_at(ours, row), _surface_at(fresh, row), strict=True):
+                np.testing.assert_array_equal(mine, right)
+    assert kept > 0

@@ -21,7 +21,7 @@ class SampledWorld(CollisionWorld):
 
     def _scene(self, step: Step, motion: Motion) -> Scene:
         scene = super()._scene(step, motion)
-        return scene._replace(geometry=Geometry(scene.geometry.pools, NO_RIDGES, NO_SHAPES), with_surfaces=False)
+        return scene._replace(geometry=Geometry(scene.geometry.pools, NO_RIDGES, NO_SHAPES), whole=None)
 
 
 class ForgetfulWorld(CollisionWorld):

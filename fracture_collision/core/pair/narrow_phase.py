@@ -20,7 +20,7 @@ from fracture_collision.core.pair.pair_search import (
     search_round,
     search_sampled,
 )
-from fracture_collision.core.patches.interlocked import bound_unsearched, part_interlocked
+from fracture_collision.core.patches.interlocked import SurfaceTable, bound_unsearched, part_interlocked
 from fracture_collision.core.patches.shapes import Geometry
 from fracture_collision.core.search.kept_answer import (
     NOTHING_KEPT,
@@ -60,7 +60,7 @@ class Scene(NamedTuple):
     step: Step
     motion: Motion = NO_MOTION  # of the fragments of `step`
     stamp: int = 0  # differs after any change of the pools
-    with_surfaces: bool = False  # concave pairs are tested on whole surfaces; else contacts are of samples and ridges
+    whole: SurfaceTable | None = None  # surfaces of concave fragments; None: contacts of samples and ridges alone
 
 
 def query_pairs(
@@ -79,7 +79,7 @@ def query_pairs(
     stands_at, todo = np.full(len(counts), -1), np.arange(len(counts))
     if rule.every > 1:
         _search(search, scene, rule, NO_SLOTS.lists, Work(todo, stands_at, stands_at >= 0, scene.motion.time > 0.0))
-        if scene.with_surfaces:
+        if scene.whole is not None:
             bound_unsearched(geometry, (step, todo[clear <= 0.0]), rule, bounds, scratch[0])
         return PairContacts(counts, bounds, visits, exhausted, *search.gather(begins_of(counts))), NOTHING_REMEMBERED
     kept, slots, known = with_pairs(before.slots, pair_keys(step.rows, step.pairs))
@@ -93,9 +93,9 @@ def query_pairs(
     columns = search.gather(offsets)
     gather_kept(before.answer, stands_at, offsets, columns)
     found = PairContacts(counts, bounds, visits, exhausted, *columns)
-    if scene.with_surfaces:
+    if scene.whole is not None:
         found, parted = part_interlocked(
-            geometry, (step, scene.motion), (kept.lists, slots, todo), rule, found, (scratch, crew)
+            geometry, scene.whole, (step, scene.motion), (kept.lists, slots, todo), rule, found, (scratch, crew)
         )
         is_ahead[parted] = True
     slots[is_ahead] = -1  # their look-ahead contacts hold for this step only

@@ -13,6 +13,7 @@ more, and the next translation satisfies them, too: so the directions of all ove
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -27,6 +28,9 @@ from fracture_collision.core.memory.compiled import allocating_kernel, kernel, q
 from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.kinds import TETRAHEDRA, WITH_FACES
 from fracture_collision.core.memory.pair import Sink, Step, put_pair
+from fracture_collision.core.memory.pools import NEVER_BROKEN, Pools
+from fracture_collision.core.memory.struct import Struct
+from fracture_collision.core.memory.tables import Moves, Table, moves_of_ranges
 from fracture_collision.core.memory.transforms import turned_back
 from fracture_collision.core.memory.vectors import (
     area_vector,
@@ -62,13 +66,15 @@ from fracture_collision.core.patches.piercing import (
     close_pairs,
     do_listed_pierce,
     do_pierce,
+    in_order,
     no_overlaps,
     overlaps_of,
     pierced_of,
     pierced_pairs,
     triangles_within,
 )
-from fracture_collision.core.patches.shapes import Geometry, surface_of
+from fracture_collision.core.patches.shapes import Geometry, triangles_of
+from fracture_collision.core.patches.surface import CONVEX_EDGE, CORNER, FACET, Surface, make_surface
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.neighbour_lists import IN_PLACE, NeighbourLists, displacement, keep_pose
 from fracture_collision.core.search.passes import bound_by_thickness
@@ -105,6 +111,91 @@ _LEAVE, _ALL = -1, -2
 _DIRECTION_BIT = 59  # of a contact's number: above kind and feature
 
 
+class Surfaces(Struct):
+    """Surfaces of some fragments; rows count from a fragment's first."""
+
+    begin: np.ndarray  # (F, 3) int64 first row of: corners, triangles, edges; -1: not made
+    end: np.ndarray  # (F, 3) int64
+    stamps: np.ndarray  # (F,) int64: no two surfaces ever made have the same
+    all: Surface
+
+
+_STAMPS = itertools.count(1)
+
+
+class SurfaceTable:
+    """Surfaces of fragments, made when first asked for. Valid until their body breaks: others are divided anew then."""
+
+    def __init__(self) -> None:
+        self._begin, self._end, self._stamps = np.full((0, 3), -1), np.full((0, 3), -1), np.zeros(0, np.int64)
+        self._rows = Table(Surface)
+        self._surfaces: Surfaces | None = None  # until one is added
+
+    def forget(self, rows: np.ndarray) -> None:
+        """Make those of `rows` (n,) anew when they are asked for."""
+        rows = rows[rows < len(self._begin)]
+        self._begin[rows] = self._end[rows] = -1
+
+    def renumber(self, moves: Moves) -> None:
+        """Keep the surfaces of fragments that stay, whose rows have moved."""
+        stays = moves.stays[: len(self._begin)]
+        self._begin, self._end, self._stamps = self._begin[stays], self._end[stays], self._stamps[stays]
+        self._surfaces = None
+
+    def of(self, pools: Pools, rows: np.ndarray) -> Surfaces:
+        """Surfaces of at least `rows` (n,), ascending, of FragmentPool."""
+        more = len(pools.fragment.kind) - len(self._begin)
+        if more > 0:
+            nothing = np.full((more, 3), -1)
+            self._begin, self._end = np.vstack((self._begin, nothing)), np.vstack((self._end, nothing))
+            self._stamps = np.append(self._stamps, np.zeros(more, np.int64))
+            self._surfaces = None
+        new = rows[self._begin[rows, 0] < 0]
+        if len(new):
+            self._drop_forgotten()
+            self._add(pools, new)
+            self._surfaces = None
+        if self._surfaces is None:
+            self._surfaces = Surfaces(self._begin, self._end, self._stamps, self._rows.view)
+        return self._surfaces
+
+    def _add(self, pools: Pools, new: np.ndarray) -> None:
+        """Make those of `new` (n,), ascending; a body's fragments whose rows follow each other are divided at once."""
+        fragment = pools.fragment
+        shift = fragment.tet_shift[new]
+        body = np.column_stack((fragment.mesh[new], shift, new - np.arange(len(new))))
+        is_other = (body[1:] != body[:-1]).any(axis=1) | (shift[1:] == NEVER_BROKEN)
+        runs = np.hstack((0, np.flatnonzero(is_other) + 1, len(new)))
+        made = list[Surface]()
+        for first, end in itertools.pairwise(runs.tolist()):
+            triangles, begin = triangles_of(pools, new[first], new[end - 1] + 1)
+            made += [_surface_of(triangles[k:m]) for k, m in itertools.pairwise(begin.tolist())]
+        for k, name in enumerate(("corners", "triangles", "edges")):
+            end = self._rows[name].used + np.cumsum([len(getattr(each, name)) for each in made])
+            self._end[new, k], self._begin[new, k] = end, np.append(self._rows[name].used, end[:-1])
+        self._stamps[new] = [next(_STAMPS) for _ in new]
+        for column, parts in zip(self._rows, zip(*made, strict=True), strict=True):
+            column.append(np.concatenate(parts))
+
+    def _drop_forgotten(self) -> None:
+        """Give the memory of surfaces that were forgotten back, once it is more than that of the others."""
+        kept = self._begin[:, 0] >= 0
+        begin, end = self._begin[kept], self._end[kept]
+        if 2 * (end - begin)[:, 1].sum() >= self._rows["triangles"].used:
+            return
+        moves = {}
+        for k, (name, rows) in enumerate((("corners", CORNER), ("triangles", FACET), ("edges", CONVEX_EDGE))):
+            moves[rows] = moves_of_ranges(self._rows[name].used, begin[:, k], end[:, k])
+            self._begin[kept, k], self._end[kept, k] = moves[rows].of(begin[:, k]), moves[rows].of(end[:, k])
+        self._rows.move(moves)
+
+
+@kernel
+def _surface_of(triangles):
+    """make_surface of triangles (n, 9) [m] in the order in which close_pairs is quick."""
+    return make_surface(triangles[in_order(triangles)])
+
+
 class _Out(NamedTuple):
     """What threads write, each pair its own rows."""
 
@@ -115,7 +206,7 @@ class _Out(NamedTuple):
 
 
 def part_interlocked(
-    geometry: Geometry, moving: tuple[Step, Motion],
+    geometry: Geometry, table: SurfaceTable, moving: tuple[Step, Motion],
     work: tuple[NeighbourLists, np.ndarray, np.ndarray], rule: Rule, found: PairContacts,
     own: tuple[tuple[Scratch, ...], Crew],
 ) -> tuple[PairContacts, np.ndarray]:  # fmt: skip
@@ -124,7 +215,7 @@ def part_interlocked(
     work: the lists, each pair's slot (p,), and the pairs (m,) that `found` was searched for; rule: with epsilon and
     near as shares of the smaller R; own: a Scratch for each thread of the Crew.
     """
-    (step, _), (lists, slots, todo), (scratch, crew) = moving, work, own
+    (step, _), (lists, slots, todo), (scratch, crew), pools = moving, work, own, geometry.pools
     offsets, bounds = begins_of(found.counts), found.bounds.copy()
     if rule.wanted > MOST_WANTED:
         bound_unsearched(geometry, (step, todo), rule, bounds, scratch[0])
@@ -132,11 +223,12 @@ def part_interlocked(
     todo = _candidates(geometry, (step, todo), rule, bounds, scratch[0])
     if not len(todo):
         return found._replace(bounds=bounds), todo
+    surfaces = table.of(pools, np.unique(step.rows[step.pairs[todo]]))
     p, wanted = len(step.pairs), rule.wanted
     sink = Sink(np.empty((len(todo) * wanted, 10)), np.empty((len(todo) * wanted, 5), np.int64))
     out = _Out(np.full(p, _LEAVE), bounds, np.ones(len(found.gaps), np.bool_), sink)
     known = rule, found, offsets, slots, todo
-    crew.share(_part_share, geometry, lists, moving, known, out, own=scratch)
+    crew.share(_part_share, surfaces, pools, lists, moving, known, out, own=scratch)
     changed = np.flatnonzero(out.counts >= 0)
     if not len(changed):
         return found._replace(bounds=out.bounds), changed
@@ -194,13 +286,14 @@ def _put_candidates(geometry, pairs, rule, bounds, scratch, out):
 
 
 @threaded_kernel
-def _part_share(geometry, lists, moving, known, out, scratch, part):
+def _part_share(surfaces, pools, lists, moving, known, out, scratch, part):
     """Process every pair that is a thread's, see Crew.share.
 
     known: a Rule, PairContacts, their offsets, the slot of each pair in the lists, and the pairs.
     """
-    (step, motion), pools, shapes, (thread, threads) = moving, geometry.pools, geometry.shapes, part
+    step, motion = moving
     rule, found, offsets, slots, todo = known
+    thread, threads = part
     for turn in range(thread, len(todo), threads):
         p = todo[turn]
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
@@ -210,7 +303,7 @@ def _part_share(geometry, lists, moving, known, out, scratch, part):
             moved = displacement(pools, pair, IN_PLACE)
         along, slot, reach = scratch.toward, slots[p], 0.0
         # how far the two may yet move until other triangles may pierce each other than those listed [m]
-        left = _left_of(pools, pair, lists.close, slot)
+        left = _left_of(pools, surfaces, pair, lists.close, slot)
         if rows[0] == rows[1] and not (left >= 0.0 and left >= length(vector(lists.close.by, slot))):
             for d in range(3):
                 along[d] = lists.toward[slot, d] if slot >= 0 else 0.0
@@ -227,15 +320,17 @@ def _part_share(geometry, lists, moving, known, out, scratch, part):
         begin, end = rule.wanted * turn, rule.wanted * (turn + 1)
         sink = Sink(out.found.contacts[begin:end], out.found.ids[begin:end])
         out.counts[p], out.bounds[p] = put_interlocked(
-            (shapes, lists.close, slot, left, reach), pair, Moving(i, j, step.rotations, step.positions, motion), its,
+            (surfaces, lists.close, slot, left, reach), pair, Moving(i, j, step.rotations, step.positions, motion), its,
             (found.normals, found.gaps, rows), out.stays, sink,
         )  # fmt: skip
 
 
 @query_kernel
-def _left_of(pools, pair, lists, slot):
+def _left_of(pools, surfaces, pair, lists, slot):
     """By how much [m] the motion of a Pair falls short of the reach of its list; -1: it has none."""
     if slot < 0 or lists.counts[slot] < 0:
+        return -1.0
+    if lists.surfaces[slot, 0] != surfaces.stamps[pair.a] or lists.surfaces[slot, 1] != surfaces.stamps[pair.b]:
         return -1.0
     return lists.reach[slot] - BESIDE * displacement(pools, pair, lists.at[slot])
 
@@ -272,16 +367,16 @@ _NOT_PARTED = _Parted(0, np.zeros(3), False, 0)
 
 
 @allocating_kernel
-def put_interlocked(kept, pair, moving, wanted, known, stays, sink):
+def put_interlocked(surfaces, pair, moving, wanted, known, stays, sink):
     """Write contacts that part what overlaps of a Pair to a Sink; marks which of the known ones stay.
 
-    kept: Shapes, CloseTriangles, the pair's slot of these, how far it may move until its list ends [m], and the reach
-    [m] of a new one, 0: none. wanted: Wanted, whether both are full of samples, a direction along which the hulls
-    overlap little. known: normals (c, 3), from a to b in the world, and gaps (c,) [m] of all contacts, the pair's rows
-    of these. Returns (contacts, -1: the pair stays as it is; bound [m]).
+    surfaces: Surfaces, CloseTriangles, the pair's slot of these, how far it may move until its list ends [m], and the
+    reach [m] of a new one, 0: none. wanted: Wanted, whether both are full of samples, a direction along which the hulls
+    overlap little. known: normals (c, 3), from a to b in the world, and gaps
+    (c,) [m] of all contacts, the pair's rows of these. Returns (contacts, -1: the pair stays as it is; bound [m]).
     """
     wanted, is_sampled, hulls = wanted
-    shapes, tolerance = kept[0], wanted.near
+    kept, surfaces, tolerance = surfaces, surfaces[0], wanted.near
     normals, gaps, (begin, end) = known
     found = end - begin
     planes = _planes_of(normals[begin:end], gaps[begin:end], moving.rotations[moving.j])
@@ -298,8 +393,8 @@ def put_interlocked(kept, pair, moving, wanted, known, stays, sink):
         # pieces nearly in place: how far they have moved says enough, and hardly ever anything parts them
         return _LEAVE, wanted.moved
     placings = _placings(moving)
-    a = posed_at(surface_of(shapes, pair.a), placings[0], 0.0)
-    b = posed_at(surface_of(shapes, pair.b), placings[1], 0.0)
+    a = posed_at(_surface_at(surfaces, pair.a), placings[0], 0.0)
+    b = posed_at(_surface_at(surfaces, pair.b), placings[1], 0.0)
     boxes = box_around(a.corners), box_around(b.corners)
     size = min(_longest(boxes[0]), _longest(boxes[1]))
     bound = min(_box_overlap(boxes), wanted.moved)
@@ -363,7 +458,7 @@ def _try_contacts(kept, pair, known, tolerance, n):
     kept: see put_interlocked; known: directions of the contacts (c, 3), needs (c,) [m], the deepest [m]; n: see
     close_pairs. Where they touch, gaps are opened: rounding might pierce there.
     """
-    (shapes, lists, slot, left, reach), (given, needs, deepest) = kept, known
+    (surfaces, lists, slot, left, reach), (given, needs, deepest) = kept, known
     x, is_asked = np.zeros(3), False
     for opened in (LEAST * tolerance, SLACK * tolerance):
         if opened > SLACK * tolerance and (len(needs) == 0 or deepest > opened):
@@ -374,7 +469,7 @@ def _try_contacts(kept, pair, known, tolerance, n):
         if not is_asked:
             continue
         is_listed = left >= 0.0 and left >= distance(x, vector(lists.by, slot))
-        if _are_apart(shapes, pair, x, n, (lists, slot, is_listed, reach)):
+        if _are_apart(surfaces, pair, x, n, (lists, slot, is_listed, reach)):
             return True, True, x
         if not is_listed:
             left = -1.0  # the list is another one
@@ -391,13 +486,13 @@ def _satisfying(normals, needs, more):
 
 
 @kernel
-def _are_apart(shapes, pair, x, n, kept):
+def _are_apart(surfaces, pair, x, n, kept):
     """Whether nothing pierces anything where b of a Pair is moved by x (3,) [m]; n: see close_pairs.
 
     kept: CloseTriangles, the pair's slot, whether its list holds; else the reach [m] of a new one.
     """
     lists, slot, is_listed, reach = kept
-    a, b = surface_of(shapes, pair.a), surface_of(shapes, pair.b)
+    a, b = _surface_at(surfaces, pair.a), _surface_at(surfaces, pair.b)
     poses = (pair.rotation[0], pair.translation[0]), (np.eye(3), x)
     if is_listed:
         return not do_listed_pierce(a, b, poses, lists.pairs[slot, : lists.counts[slot]])
@@ -405,6 +500,7 @@ def _are_apart(shapes, pair, x, n, kept):
         return not do_pierce(a, b, poses, n, (np.empty((0, 2), np.int32), 0.0))[0]
     pierces, count = do_pierce(a, b, poses, n, (lists.pairs[slot], reach))
     lists.counts[slot], lists.by[slot], lists.reach[slot] = count, x, reach
+    lists.surfaces[slot, 0], lists.surfaces[slot, 1] = surfaces.stamps[pair.a], surfaces.stamps[pair.b]
     keep_pose(pair.rotation, pair.translation, lists.at[slot])
     return not pierces
 
@@ -687,6 +783,15 @@ def _box_overlap(boxes):
     for d in range(3):
         least = min(least, a[3 + d] - b[d], b[3 + d] - a[d])
     return max(least, 0.0)
+
+
+@kernel
+def _surface_at(surfaces, f):
+    c, d, s = surfaces.begin[f], surfaces.end[f], surfaces.all
+    return Surface(
+        s.corners[c[0] : d[0]], s.triangles[c[1] : d[1]], s.normals[c[1] : d[1]], s.edges[c[2] : d[2]],
+        s.beside[c[2] : d[2]], s.is_sharp[c[0] : d[0]],
+    )  # fmt: skip
 
 
 @query_kernel

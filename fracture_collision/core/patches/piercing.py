@@ -33,6 +33,7 @@ from fracture_collision.core.memory.vectors import (
 from fracture_collision.core.mesh.connected_pieces import root_of
 from fracture_collision.core.patches.facing_points import axes_along, box_around, seen_along
 from fracture_collision.core.patches.surface import Surface
+from fracture_collision.core.samples.sample_leaves import place_on_curve
 
 _OUTSIDE = -1  # of all overlaps
 BLOCK = 8  # triangles whose common box is looked at first
@@ -405,6 +406,20 @@ def triangles_within(triangles, places, box, by):
         rows[used] = t
         used += beyond[triangles[t, 0]] & beyond[triangles[t, 1]] & beyond[triangles[t, 2]] == 0
     return rows[:used]
+
+
+@kernel
+def in_order(triangles):
+    """Rows (n,) of triangles (n, 9) [m] along a curve on which near ones are near: close_pairs is quick with these."""
+    low, high, middles = np.full(3, math.inf), np.full(3, -math.inf), np.empty((len(triangles), 3))
+    for t in range(len(triangles)):
+        for d in range(3):
+            middles[t, d] = (triangles[t, d] + triangles[t, 3 + d] + triangles[t, 6 + d]) / 3.0
+            low[d], high[d] = min(low[d], middles[t, d]), max(high[d], middles[t, d])
+    places = np.empty(len(triangles), np.uint32)
+    for t in range(len(triangles)):
+        places[t] = place_on_curve(middles[t], low, high)
+    return np.argsort(places, kind="mergesort")
 
 
 @kernel

@@ -17,7 +17,7 @@ from fracture_collision.core.memory.vectors import area_vector, corners_of, cros
 from fracture_collision.core.mesh.cut_tetrahedron import FACE_VERTICES
 from fracture_collision.core.mesh.sample_numbers import FIRST_TETRAHEDRON
 from fracture_collision.core.mesh.surface_elements import count_triangles, put_triangle
-from fracture_collision.core.patches.surface import CONVEX_EDGE, CORNER, FACET, Surface, in_order, make_surface
+from fracture_collision.core.patches.surface import CONVEX_EDGE, CORNER, FACET, Surface, make_surface
 from fracture_collision.core.separation.convex_hull import convex_hull
 from fracture_collision.core.separation.parting_direction import HULL_CORNER, HULL_FACE, HULL_RIDGE, Hull
 
@@ -37,7 +37,7 @@ class Shapes(Struct):
 
     begin: Annotated[np.ndarray, Column(FRAGMENT, np.int64, 6, OF_ROWS)]  # first row of each kind
     end: Annotated[np.ndarray, Column(FRAGMENT, np.int64, 6, OF_ROWS)]
-    size: Annotated[np.ndarray, Column(FRAGMENT, np.float64)]  # [m] longest side of its box; 0: no surface
+    size: Annotated[np.ndarray, Column(FRAGMENT, np.float64)]  # [m] longest side of its box; 0: no hull, no surface
     is_convex: Annotated[np.ndarray, Column(FRAGMENT, np.bool_)]
     hull: Hull
     surface: Surface
@@ -79,9 +79,9 @@ def have_patches(shapes, a, b):
 
 @kernel
 def shapes_of(triangles, begin):
-    """Of fragments with triangles begin[k] .. begin[k + 1]: ends (k, 6), size, is_convex, hull and surface of Shapes.
+    """Of fragments with triangles begin[k] .. begin[k + 1]: first (k, 6), size, is_convex, hull and surface of Shapes.
 
-    Fragments that are surely concave get no hull.
+    Rows of `first` are the ends of each one's rows. Fragments that are surely concave get none, and size 0.
     """
     n, count = len(triangles), len(begin) - 1
     first, size, is_convex = np.zeros((count, 6), np.int64), np.empty(count), np.empty(count, np.bool_)
@@ -95,7 +95,7 @@ def shapes_of(triangles, begin):
     at = np.zeros(6, np.int64)
     for k in range(count):
         own = triangles[begin[k] : begin[k + 1]]
-        h, s, size[k], is_convex[k] = shape_of(own)
+        h, s, size[k], is_convex[k] = shape_of(own[: 0 if _is_surely_concave(own) else len(own)])
         end = at + np.array(
             [len(h.x), len(h.faces), len(h.ridges), len(s.corners), len(s.triangles), len(s.edges)]
         )  # fmt: skip
@@ -114,7 +114,12 @@ def shapes_of(triangles, begin):
 
 
 @kernel
-def _is_surely_concave(triangles, size):
+def _is_surely_concave(triangles):
+    low, high = np.full(3, math.inf), np.full(3, -math.inf)
+    for t in range(len(triangles)):
+        for k in range(9):
+            low[k % 3], high[k % 3] = min(low[k % 3], triangles[t, k]), max(high[k % 3], triangles[t, k])
+    size = max(high[0] - low[0], high[1] - low[1], high[2] - low[2])
     for turn in range(min(LOOKED_AT, len(triangles))):
         c = triangles[turn * len(triangles) // LOOKED_AT if len(triangles) > LOOKED_AT else turn]
         n = area_vector(corners_of(c))
@@ -131,29 +136,8 @@ def _is_surely_concave(triangles, size):
 @kernel
 def shape_of(triangles):
     """Hull, Surface, longest side of its box [m], and whether it is convex, of a closed surface (n, 9) [m]."""
-    low, high = np.full(3, math.inf), np.full(3, -math.inf)
-    for t in range(len(triangles)):
-        for k in range(9):
-            low[k % 3], high[k % 3] = min(low[k % 3], triangles[t, k]), max(high[k % 3], triangles[t, k])
-    size = max(high[0] - low[0], high[1] - low[1], high[2] - low[2]) if len(triangles) else 0.0
-    surface, hull = make_surface(triangles[:0]), _no_hull()
-    if not _is_surely_concave(triangles, size):
-        surface = make_surface(triangles)
-        hull, volume = _hull_around(surface.corners)
-        if len(surface.corners) > 0 and _volume_of(surface) >= (1.0 - CONVEX) * volume:
-            return hull, surface, size, True
-    # patches are small, and their corners' numbers identify contacts; concave surfaces are searched as a whole
-    return hull, make_surface(triangles[in_order(triangles)]), size, False
-
-
-@kernel
-def _no_hull():
-    return Hull(np.empty(0), np.empty(0), np.empty(0), np.empty((0, 4)), np.empty((0, 4), np.int64))
-
-
-@kernel
-def _hull_around(corners):
-    """The Hull of places (c, 3) [m], and its volume [m3]."""
+    surface = make_surface(triangles)
+    corners = surface.corners
     points = convex_hull(corners)
     row = np.full(len(corners), -1)
     for k in range(len(points.corners)):
@@ -163,20 +147,16 @@ def _hull_around(corners):
         ridges[r, 0], ridges[r, 1] = row[ridges[r, 0]], row[ridges[r, 1]]
     chosen = corners[points.corners]
     hull = Hull(chosen[:, 0].copy(), chosen[:, 1].copy(), chosen[:, 2].copy(), points.faces, ridges)
-    return hull, points.volume
-
-
-@kernel
-def _volume_of(surface):
-    """Volume [m3] within a Surface."""
-    corners, volume, o = surface.corners, 0.0, vector(surface.corners, 0)
+    size, volume, o = 0.0, 0.0, (vector(corners, 0) if len(corners) else (0.0, 0.0, 0.0))
     for t in range(len(surface.triangles)):
         p, q, r = surface.triangles[t]
         a, b, c = minus(vector(corners, p), o), minus(vector(corners, q), o), minus(vector(corners, r), o)
         n = cross(b, c)
         volume += a[0] * n[0] + a[1] * n[1]
         volume += a[2] * n[2]
-    return volume / 6.0
+    for d in range(3 if len(corners) else 0):
+        size = max(size, corners[:, d].max() - corners[:, d].min())
+    return hull, surface, size, len(corners) > 0 and volume / 6.0 >= (1.0 - CONVEX) * points.volume
 
 
 @kernel

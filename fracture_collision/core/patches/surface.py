@@ -7,7 +7,6 @@ anew, but does not move it (cut_tetrahedron.py).
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -27,7 +26,6 @@ from fracture_collision.core.memory.vectors import (
     vector,
     vector_at,
 )
-from fracture_collision.core.samples.sample_leaves import place_on_curve
 
 # Sine of the least angle by which the surface turns outwards at an edge: flatter ones are within faces.
 LEAST_TURN = 1e-4
@@ -88,20 +86,6 @@ def make_surface(given):
     return Surface(
         corners, triangles[:kept].copy(), normals[:kept].copy(), edges, beside, _sharp_corners(corners, edges)
     )
-
-
-@kernel
-def in_order(triangles):
-    """Rows (n,) of triangles (n, 9) [m] along a curve on which near ones are near: piercing.py is quick with these."""
-    low, high, middles = np.full(3, math.inf), np.full(3, -math.inf), np.empty((len(triangles), 3))
-    for t in range(len(triangles)):
-        for d in range(3):
-            middles[t, d] = (triangles[t, d] + triangles[t, 3 + d] + triangles[t, 6 + d]) / 3.0
-            low[d], high[d] = min(low[d], middles[t, d]), max(high[d], middles[t, d])
-    places = np.empty(len(triangles), np.uint32)
-    for t in range(len(triangles)):
-        places[t] = place_on_curve(middles[t], low, high)
-    return np.argsort(places, kind="mergesort")
 
 
 @kernel

@@ -76,6 +76,7 @@ class CloseTriangles(Struct):
     at: np.ndarray  # (room, 2, 12) float64: poses, see NeighbourLists, for which they were listed
     by: np.ndarray  # (room, 3) float64 [m] how far b was moved there, in its frame
     reach: np.ndarray  # (room,) float64 [m] motion since then for which the list holds
+    surfaces: np.ndarray  # (room, 2) int64: stamps of the surfaces
     pairs: np.ndarray  # (room, MOST_CLOSE, 2) int32
 
 
@@ -110,7 +111,7 @@ def _make_lists(room: int) -> NeighbourLists:
         np.empty((room, MOST_RIDGES, 2), np.int32), np.zeros((room, 3)),
         CloseTriangles(
             np.full(room, NOT_LISTED, np.int32), np.zeros((room, 2, 12)), np.zeros((room, 3)), np.zeros(room),
-            np.empty((room, MOST_CLOSE, 2), np.int32),
+            np.zeros((room, 2), np.int64), np.empty((room, MOST_CLOSE, 2), np.int32),
         ),
     )  # fmt: skip
 
@@ -160,7 +161,7 @@ def _copy_lists(old, new):
 @kernel
 def _copy_close(old, new, slot):
     new.counts[slot], new.reach[slot] = old.counts[slot], old.reach[slot]
-    new.at[slot], new.by[slot] = old.at[slot], old.by[slot]
+    new.at[slot], new.by[slot], new.surfaces[slot] = old.at[slot], old.by[slot], old.surfaces[slot]
     for k in range(old.counts[slot]):
         new.pairs[slot, k] = old.pairs[slot, k]
 
