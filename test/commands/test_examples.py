@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -58,9 +59,21 @@ def test_the_example_with_an_own_body_breaks_it(tmp_path: Path) -> None:
         client.await_service()
         client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 2, "the listener")
         command = [sys.executable, str(EXAMPLES / "break_your_own.py")]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE)
-        assert done.returncode == 0, done.stderr + service.log_text()
-        client.spin_until(lambda: heard.read_text().count("\n") == 2, "what the listener says")
+
+        def run_until_heard() -> subprocess.CompletedProcess[str]:
+            """Runs the example, again if the listener misses a step: the service may not have discovered it yet."""
+            for _ in range(5):
+                done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE)
+                assert done.returncode == 0, done.stderr + service.log_text()
+                # not two lines: the example asks again after two seconds, so a slow service answers a step twice
+                with suppress(AssertionError):
+                    client.spin_until(
+                        lambda: {"1", "2"} <= gaps_by_step(heard.read_text()).keys(), "both steps", patience=10.0
+                    )
+                    return done
+            raise AssertionError(f"the listener printed only {heard.read_text()!r}")
+
+        done = run_until_heard()
     finally:
         listener.kill()
         listener.wait()
@@ -77,8 +90,13 @@ def test_the_example_with_an_own_body_breaks_it(tmp_path: Path) -> None:
     assert on_the_floor.keys() == {("1", "2")} and abs(on_the_floor["1", "2"][1]) < 0.01
     assert broken.keys() == {("2", "3"), ("2", "4"), ("3", "4")}
     assert [round(gap, 3) for _, gap in broken.values()] == [-2.0, -2.0, -1.0]
-    told = re.findall(r"step (\d): fragments \d and \d, gap (\S+) mm", heard.read_text())
-    assert [step for step, _ in told] == ["1", "2"] and abs(float(told[1][1]) + 2.0) < 0.01
+    gaps = gaps_by_step(heard.read_text())
+    assert gaps.keys() == {"1", "2"} and abs(gaps["2"] + 2.0) < 0.01
+
+
+def gaps_by_step(printed: str) -> dict[str, float]:
+    """Gap of the deepest contact [mm] of each step that the listener printed."""
+    return {step: float(gap) for step, gap in re.findall(r"step (\d): fragments \d and \d, gap (\S+) mm", printed)}
 
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "break_a_mesh.py"
