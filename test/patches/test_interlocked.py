@@ -12,6 +12,15 @@ from worlds.rigid_shapes import RigidShape
 from worlds.sampled_worlds import ForgetfulWorld
 
 from benchmarks.peers.judging.least_translation import least_translation
+from fracture_collision.core.contacts.contact_choice import Rule
+from fracture_collision.core.lookahead.motion import Motion
+from fracture_collision.core.memory.crew import Crew
+from fracture_collision.core.memory.pair import Step
+from fracture_collision.core.pair.narrow_phase import Scene
+from fracture_collision.core.patches.interlocked import part_interlocked
+from fracture_collision.core.search.kept_answer import PairContacts
+from fracture_collision.core.search.neighbour_lists import NO_SLOTS
+from fracture_collision.core.search.scratch import make_scratch
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.world import CollisionWorld, FragmentStates, Settings
 
@@ -130,3 +139,37 @@ def test_what_is_kept_of_a_pair_does_not_change_an_answer() -> None:
             np.testing.assert_array_equal(getattr(kept, column), getattr(fresh, column), err_msg=f"{column} {step}")
         listed += int((worlds[0]._remembered.slots.lists.close.counts >= 0).sum())
     assert listed > 100
+
+
+class _Observed(CollisionWorld):
+    """Keeps the Scene of its last answer."""
+
+    def _scene(self, step: Step, motion: Motion) -> Scene:
+        self.scene = super()._scene(step, motion)
+        return self.scene
+
+
+def test_a_contact_ahead_says_nothing_of_what_pierces_now() -> None:
+    """Two hooks reach around each other and are apart; one turns fast, so a contact ahead has a deep gap now."""
+    world = _Observed(SETTINGS)
+    for i in (1, 2):
+        world.add_body(rigid(i, RigidShape(SHAPES["hook"].vertices, SHAPES["hook"].faces)))
+    turns = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]])
+    answer = world.contacts(FragmentStates(1, 0, np.array([1, 2]), np.array([0, 0, 0, 0.45, 0.2, 0.0]), turns.ravel()))
+    assert len(answer.gaps) == 0
+    scene = world.scene
+    assert scene.whole is not None
+    point = np.array([[0.2, 0.1, 0.0]])
+    found = PairContacts(
+        np.array([1]), np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.uint8), point, point,
+        np.array([[-1.0, 0.0, 0.0]]), np.array([-0.15]), np.array([[0, 0]]),
+    )  # fmt: skip
+    work = NO_SLOTS.lists, np.array([-1]), np.array([0])
+    rule = Rule(8, 16, SETTINGS.penetration_tolerance, SETTINGS.detection_tolerance)
+    for ahead, changes in ((0, True), (1, False)):
+        parted, changed = part_interlocked(
+            scene.geometry, scene.whole, (scene.step, scene.motion), work, rule, (found, np.array([ahead])),
+            ((make_scratch(0, 0),), Crew(1)),
+        )  # fmt: skip
+        assert (len(changed) > 0) == changes
+        assert np.array_equal(parted.gaps, found.gaps) != changes

@@ -75,7 +75,7 @@ def query_pairs(
     """
     geometry, step = scene.geometry, scene.step
     search = Passes(step, scratch, crew)
-    counts, bounds, visits, exhausted, clear, is_ahead = search.columns
+    counts, bounds, visits, exhausted, clear, ahead = search.columns
     stands_at, todo = np.full(len(counts), -1), np.arange(len(counts))
     if rule.every > 1:
         _search(search, scene, rule, NO_SLOTS.lists, Work(todo, stands_at, stands_at >= 0, scene.motion.time > 0.0))
@@ -95,10 +95,11 @@ def query_pairs(
     found = PairContacts(counts, bounds, visits, exhausted, *columns)
     if scene.whole is not None:
         found, parted = part_interlocked(
-            geometry, scene.whole, (step, scene.motion), (kept.lists, slots, todo), rule, found, (scratch, crew)
-        )
-        is_ahead[parted] = True
-    slots[is_ahead] = -1  # their look-ahead contacts hold for this step only
+            geometry, scene.whole, (step, scene.motion), (kept.lists, slots, todo), rule, (found, ahead),
+            (scratch, crew),
+        )  # fmt: skip
+        ahead[parted] = found.counts[parted]
+    slots[ahead > 0] = -1  # their contacts hold for this step only
     index_of_row, pair_of_slot = indices_of_kept(step.rows, slots, len(kept.lists.counts), found.exhausted)
     answer = KeptAnswer(scene.stamp, index_of_row, poses, pair_of_slot, begins_of(found.counts), found)
     return found, Remembered(kept, answer)

@@ -106,9 +106,8 @@ def search_convex(geometry, lists, moving, rule, work, out, scratch, part):
             remembered[0] = 0.0
         wanted = Wanted(its.near, moved, its.wanted)
         two = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
-        count, bound, out.is_ahead[p] = put_patch(
-            geometry.shapes, pair, two, wanted, remembered, room_of(out, thread)
-        )
+        count, bound, is_ahead = put_patch(geometry.shapes, pair, two, wanted, remembered, room_of(out, thread))
+        out.ahead[p] = count if is_ahead else 0
         keep_found(out, p, thread, Found(count, bound, 0, COMPLETE, 0.0))
 
 
@@ -176,12 +175,12 @@ def search_ahead(geometry, lists, moving, rule, work, out, scratch, part):
         two = Moving(step.pairs[p, 0], step.pairs[p, 1], step.rotations, step.positions, motion)
         found = Found(count, out.bounds[p], out.visits[p], out.exhausted[p], out.clear[p])
         its, slot = _scaled(pools, pair, rule), Slot(lists, work.slots[p], False, True)
-        found, is_ahead = _look_ahead(geometry, pair, two, its, found, slot, sink, scratch)
+        found, out.ahead[p] = _look_ahead(geometry, pair, two, its, found, slot, sink, scratch)
         out.begin[p] = ELSEWHERE
-        if is_ahead and found.count > len(sink.contacts):
+        if out.ahead[p] > 0 and found.count > len(sink.contacts):
             out.begin[p], out.counts[p] = NO_ROOM, found.count
-        elif is_ahead:
-            out.is_ahead[p], now.begin[p] = True, ELSEWHERE
+        elif out.ahead[p] > 0:
+            now.begin[p] = ELSEWHERE
             keep_found(out, p, thread, found)
         else:  # the contacts of now are where they were
             out.counts[p], out.bounds[p] = count, found.bound
@@ -304,7 +303,7 @@ def _left_of(geometry, pair, rule, listing, count, scratch):
 def _look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     """Search the time ahead for contacts of the two fragments of a Moving, after the `found` of now.
 
-    The contacts are written to the Sink after those found now. Returns (the Found of both, whether any was added).
+    The contacts are written to the Sink after those found now. Returns (the Found of both, how many lie in the future).
 
     It runs its own searches. What is remembered (the clearance of lists, a separating direction) may only prove that a
     pair never comes near: that is true whatever proved it. That a pair comes near but no deeper than epsilon must be
@@ -326,9 +325,10 @@ def _look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
             toward = slot.lists.toward[slot.row]
         else:
             toward[0] = toward[1] = toward[2] = 0.0
-    is_ahead = False
+    later = 0
     if not is_settled and not may_search(pools, pair.a, pair.b):
-        count, is_ahead = sphere_at_end(pools, pair, moving, ahead, count, sink, scratch)
+        count, is_of_end = sphere_at_end(pools, pair, moving, ahead, count, sink, scratch)
+        later = count if is_of_end else 0
     if not (
         count != 0
         or is_settled
@@ -337,7 +337,7 @@ def _look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     ):
         count, moment, more, unseen = first_touch(pools, edges, pair, moving, (0.0, 0), ahead, sink, scratch)
         visits += more
-        is_ahead = count > 0
+        later = count
         for d in range(3):
             toward[d] = scratch.ahead_toward[d]  # warm start of hulls_stay_apart at the next step
         if count == 0 and unseen > 0.0:
@@ -347,5 +347,5 @@ def _look_ahead(geometry, pair, moving, rule, found, slot, sink, scratch):
     if has_room and may_touch_again(pools, pair, moving, moment, known, rule.epsilon, scratch):
         again, _, more, _ = first_touch(pools, edges, pair, moving, (moment, count), ahead, sink, scratch)
         visits += more
-        count, is_ahead = count + again, is_ahead or again > 0
-    return Found(count, bound, visits, exhausted, clear), is_ahead
+        count, later = count + again, later + again
+    return Found(count, bound, visits, exhausted, clear), later

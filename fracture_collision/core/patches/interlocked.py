@@ -207,15 +207,17 @@ class _Out(NamedTuple):
 
 def part_interlocked(
     geometry: Geometry, table: SurfaceTable, moving: tuple[Step, Motion],
-    work: tuple[NeighbourLists, np.ndarray, np.ndarray], rule: Rule, found: PairContacts,
+    work: tuple[NeighbourLists, np.ndarray, np.ndarray], rule: Rule, searched: tuple[PairContacts, np.ndarray],
     own: tuple[tuple[Scratch, ...], Crew],
 ) -> tuple[PairContacts, np.ndarray]:  # fmt: skip
-    """`found` with contacts of whole surfaces, where a concave pair is deep or pierces; and which pairs' changed.
+    """Contacts with those of whole surfaces, where a concave pair is deep or pierces; and which pairs' changed.
 
-    work: the lists, each pair's slot (p,), and the pairs (m,) that `found` was searched for; rule: with epsilon and
+    work: the lists, each pair's slot (p,), and the pairs (m,) that were searched; searched: their contacts, and how
+    many of each pair's (p,), the last ones, lie in the future: these stay, whatever pierces now. rule: with epsilon and
     near as shares of the smaller R; own: a Scratch for each thread of the Crew.
     """
     (step, _), (lists, slots, todo), (scratch, crew), pools = moving, work, own, geometry.pools
+    found, ahead = searched
     offsets, bounds = begins_of(found.counts), found.bounds.copy()
     if rule.wanted > MOST_WANTED:
         bound_unsearched(geometry, (step, todo), rule, bounds, scratch[0])
@@ -227,7 +229,7 @@ def part_interlocked(
     p, wanted = len(step.pairs), rule.wanted
     sink = Sink(np.empty((len(todo) * wanted, 10)), np.empty((len(todo) * wanted, 5), np.int64))
     out = _Out(np.full(p, _LEAVE), bounds, np.ones(len(found.gaps), np.bool_), sink)
-    known = rule, found, offsets, slots, todo
+    known = rule, found, (offsets[:-1], offsets[1:] - ahead), slots, todo
     crew.share(_part_share, surfaces, pools, lists, moving, known, out, own=scratch)
     changed = np.flatnonzero(out.counts >= 0)
     if not len(changed):
@@ -289,16 +291,16 @@ def _put_candidates(geometry, pairs, rule, bounds, scratch, out):
 def _part_share(surfaces, pools, lists, moving, known, out, scratch, part):
     """Process every pair that is a thread's, see Crew.share.
 
-    known: a Rule, PairContacts, their offsets, the slot of each pair in the lists, and the pairs.
+    known: a Rule, PairContacts, the rows of each pair's that are of now, its slot in the lists, and the pairs.
     """
     step, motion = moving
-    rule, found, offsets, slots, todo = known
+    rule, found, (begins, ends), slots, todo = known
     thread, threads = part
     for turn in range(thread, len(todo), threads):
         p = todo[turn]
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
         tolerance = rule.near * min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
-        moved, rows = math.inf, (offsets[p], offsets[p + 1])
+        moved, rows = math.inf, (begins[p], ends[p])
         if share_a_body(pools, pair.a, pair.b):
             moved = displacement(pools, pair, IN_PLACE)
         along, slot, reach = scratch.toward, slots[p], 0.0

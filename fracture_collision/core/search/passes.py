@@ -52,7 +52,7 @@ class Results(NamedTuple):
     visits: np.ndarray  # (p,) int64
     exhausted: np.ndarray  # (p,) uint8
     clear: np.ndarray  # (p,) float64 [m]
-    is_ahead: np.ndarray  # (p,) bool: whether some of its contacts lie in the future
+    ahead: np.ndarray  # (p,) int64: of its contacts, how many lie in the future, the last ones
 
 
 @query_kernel
@@ -82,7 +82,7 @@ class Passes:
         self._step, self._scratch, self._crew, self._passes = step, scratch, crew, list[tuple[np.ndarray, Results]]()
         self.columns = (
             np.zeros(p, np.int64), np.zeros(p), np.zeros(p, np.int64), np.zeros(p, np.uint8), np.zeros(p),
-            np.zeros(p, np.bool_),
+            np.zeros(p, np.int64),
         )  # fmt: skip
 
     def new(self, todo: np.ndarray, again: bool) -> Results:
