@@ -75,7 +75,10 @@ ROSBAGS = Path(sys.executable).with_name("rosbags-convert")
     [
         (("--dst-storage", "sqlite3"), "an SQLite file"),
         (("--dst-storage", "mcap", "--compress", "zstd", "--compress-mode", "file"), "a compressed file"),
-        (("--dst-storage", "mcap", "--compress", "zstd", "--compress-mode", "message"), "compressed messages"),
+        pytest.param(
+            ("--dst-storage", "mcap", "--compress", "zstd", "--compress-mode", "message"), "compressed messages",
+            marks=pytest.mark.slow,
+        ),
     ],
 )  # fmt: skip
 def test_bags_of_other_storage_are_rejected_with_a_command_that_converts_them(

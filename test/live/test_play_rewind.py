@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from stages.browser import chromium, opened, until
 from stages.live_page import live_page
 from stages.live_player import PLATE
@@ -11,6 +12,7 @@ from stages.live_player import PLATE
 from fracture_collision.ros.nodes.live_client import LiveClient
 
 
+@pytest.mark.slow
 def test_a_scene_is_rewound_and_goes_on(tmp_path: Path) -> None:
     with chromium() as browser, live_page("plates", tmp_path) as scene, opened(browser, scene.address) as page:
         page.get_by_label("shadows").uncheck()

@@ -38,6 +38,7 @@ def with_a_pickle() -> bytes:
     return stream.getvalue()
 
 
+@pytest.mark.slow
 def test_an_uploaded_torus_is_smashed(browser: Any, scene: LivePage, tmp_path: Path) -> None:
     torus = trimesh.creation.torus(0.1, 0.03).export(file_type="obj").encode()
     hands = LiveClient(scene.ears.node)

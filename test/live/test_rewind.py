@@ -46,7 +46,10 @@ def course(scene: str = "plates", looks_ahead: bool = True) -> Course:
 
 
 @pytest.mark.parametrize("looks_ahead", [True, False], ids=["looking ahead", "not looking ahead"])
-@pytest.mark.parametrize("before", [1, 20, 24, 60], ids=lambda n: f"{n} steps after the throw")
+@pytest.mark.parametrize(
+    "before", [20, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 24, 60))],
+    ids=lambda n: f"{n} steps after the throw",
+)  # fmt: skip
 def test_a_scene_goes_on_from_a_copy_as_it_did(looks_ahead: bool, before: int) -> None:
     first = course(looks_ahead=looks_ahead)
     first.step(10)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from stages.live_player import PLATE, Player
 from stages.ros_stage import StageWithClients
 
@@ -23,6 +24,7 @@ def course(messages: list[Any], run_id: int) -> dict[int, list[bytes]]:
     }
 
 
+@pytest.mark.slow
 def test_a_rewound_scene_has_the_same_states_and_contacts(stage: StageWithClients) -> None:
     player = Player(stage)
     player.hands.throw(PLATE - [0.0, 0.5, 0.0], [0.0, 7.0, 0.3])

@@ -41,6 +41,7 @@ def test_a_restarted_service_gives_the_same_run(tmp_path: Path, reference: Diges
     await_no_litter(before)
 
 
+@pytest.mark.slow
 def test_the_comparison_of_runs_can_fail(tmp_path: Path, reference: Digests) -> None:
     other = reference._replace(registry="0" * 64)
     found = kill_services(tmp_path, SCENE, 1, 1, other, no_progress, SOON)
@@ -57,10 +58,12 @@ def test_different_answers_are_reported_and_lost_ones_counted(reference: Digests
     assert lacking.differs(reference) and not lacking.differs(reference, may_lack=1)
 
 
+@pytest.mark.slow
 def test_a_service_follows_the_next_simulator_after_a_kill(tmp_path: Path, reference: Digests) -> None:
     assert kill_simulators(tmp_path, SCENE, 1, 3, reference, no_progress) == 0
 
 
+@pytest.mark.slow
 def test_a_killed_listener_does_not_change_the_run(tmp_path: Path, reference: Digests) -> None:
     assert kill_listeners(tmp_path, SCENE, 1, 3, reference, no_progress) == 0
 
@@ -88,12 +91,14 @@ def test_a_killed_node_leaves_no_files(tmp_path: Path) -> None:
     await_no_litter(before)
 
 
+@pytest.mark.slow
 def test_a_soak_measures_memory_and_processor_time(tmp_path: Path) -> None:
     (first,) = soak(tmp_path, SCENE, 2, 0.1, True, no_progress)
     assert first.runs == 2 and first.age > 0.1
     assert first.resident > 50.0 and 0.0 < first.processor < 60.0
 
 
+@pytest.mark.slow
 def test_a_soak_in_the_background_ends_on_sigint(tmp_path: Path) -> None:
     """A shell starts background jobs with SIGINT ignored."""
     before = litter().processes

@@ -49,7 +49,7 @@ def test_a_thousand_bodies_in_one_place_are_rejected_with_an_explanation() -> No
 
 
 @pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", ["boxes", "mixed"])
+@pytest.mark.parametrize("kind", ["boxes", pytest.param("mixed", marks=pytest.mark.slow)])
 def test_memory_for_a_crowd_is_limited(kind: str, count: int) -> None:
     """The whole process, including its answer, stays below 500 MB."""
     (row,) = measure_crowds([(kind, count, CLOSE)])

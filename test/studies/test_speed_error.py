@@ -92,6 +92,7 @@ def test_points_and_settings_of_the_csv(lines: list[dict[str, str]]) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn_from_csv_lines(lines: list[dict[str, str]], tmp_path: Path) -> None:
     draw(lines, tmp_path / "queries.png")
     draw_update(lines, tmp_path / "updates.png")

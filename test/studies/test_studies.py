@@ -82,6 +82,7 @@ def untimed(csv_path: Path) -> list[list[str]]:
     return [[row[i] for i in kept] for row in rows]
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_workers_or_order(made: tuple[Path, Path]) -> None:
     one, two = made
     files = sorted(file.name for file in two.glob("*.csv"))
@@ -92,6 +93,7 @@ def test_results_do_not_depend_on_workers_or_order(made: tuple[Path, Path]) -> N
         assert len(rows) > 1 and len(rows[0]) > 2
 
 
+@pytest.mark.slow
 def test_tables_name_the_machine_and_have_plausible_figures(made: tuple[Path, Path]) -> None:
     for file in made[0].glob("*.csv"):
         about = read_table(file).about
@@ -114,6 +116,7 @@ def test_tables_name_the_machine_and_have_plausible_figures(made: tuple[Path, Pa
     assert same[0]["off_path_mm"] == same[1]["off_path_mm"] == 0.0
 
 
+@pytest.mark.slow
 def test_pictures_are_not_blank(made: tuple[Path, Path]) -> None:
     pictures = [study_files(made[0], study, name, "png") for study in STUDIES.values() for name in study.pictures]
     assert set(pictures) == set(made[0].glob("*.png"))
@@ -121,6 +124,7 @@ def test_pictures_are_not_blank(made: tuple[Path, Path]) -> None:
         assert len(np.unique(imread(picture)[..., :3].reshape(-1, 3), axis=0)) > 30, picture
 
 
+@pytest.mark.slow
 def test_the_page_has_a_section_for_each_table_in_the_folder(made: tuple[Path, Path], tmp_path: Path) -> None:
     page = (made[0] / PAGE).read_text()
     places = [page.index(f"## {study.title}\n") for study in STUDIES.values()]

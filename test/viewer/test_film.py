@@ -281,6 +281,7 @@ def test_the_command_writes_a_file_that_replaces_an_earlier_one(tmp_path: Path) 
         assert failed.exit_code == 2 and words in failed.output
 
 
+@pytest.mark.slow
 def test_the_page_of_a_recording_offers_it(run: RecordedRun, tmp_path: Path) -> None:
     with chromium() as browser, BagPlayer(run, name="plates") as player, opened(browser, player.page.address) as seen:
         with seen.expect_download() as download:

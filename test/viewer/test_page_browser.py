@@ -199,6 +199,7 @@ def test_clicks_drags_keys_and_layers_work_in_the_browser(browser: Any) -> None:
             seen.get_by_text("1.200 mm").wait_for()
 
 
+@pytest.mark.slow
 def test_the_inside_view_works_in_the_browser(browser: Any) -> None:
     asked: queue.Queue[InsideWanted] = queue.Queue()
     with Page(Handlers(looking_inside=asked.put)) as page:
@@ -250,6 +251,7 @@ def test_the_inside_view_works_in_the_browser(browser: Any) -> None:
             until(lambda: seen.locator(".uplot").count(), lambda count: count == 1)
 
 
+@pytest.mark.slow
 def test_a_held_body_that_breaks_stays_in_the_hand(browser: Any) -> None:
     heard: queue.Queue[tuple[str, Any]] = queue.Queue()
     handlers = Handlers(

@@ -50,6 +50,7 @@ def reports_of(page: Page) -> list[np.ndarray]:
     return reported
 
 
+@pytest.mark.slow
 def test_another_scene_moves_all_cameras_and_a_new_run_of_the_same_one_none(browser: Any) -> None:
     with Page() as page:
         page.cast_shadows(False)
@@ -88,6 +89,7 @@ def test_a_camera_stays_above_the_floor(browser: Any) -> None:
             until(lambda: reported[-1][2], lambda height: height > 0.6)
 
 
+@pytest.mark.slow
 def test_a_camera_over_a_scene_without_a_floor_may_be_anywhere(browser: Any) -> None:
     with Page() as page:
         for body in records_of(CollisionBody)[1:]:
@@ -101,7 +103,12 @@ def test_a_camera_over_a_scene_without_a_floor_may_be_anywhere(browser: Any) -> 
             until(lambda: bool(reported) and reported[-1][2], lambda height: height < -0.3)
 
 
-@pytest.mark.parametrize("camera", [{"image_height": 0}, {"position": (float("nan"), 0.0, 0.0)}, {"image_width": -5}])
+@pytest.mark.parametrize(
+    "camera", [
+        {"position": (float("nan"), 0.0, 0.0)}, pytest.param({"image_height": 0}, marks=pytest.mark.slow),
+        pytest.param({"image_width": -5}, marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_a_client_with_a_senseless_camera_does_not_hinder_others(
     browser: Any, camera: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -87,7 +87,7 @@ def test_the_help_mentions_every_control() -> None:
         assert ("Throw" in text) == (handlers is ALL)
 
 
-@pytest.mark.parametrize("size", [PHONE, DESKTOP])
+@pytest.mark.parametrize("size", [DESKTOP, pytest.param(PHONE, marks=pytest.mark.slow)])
 def test_the_help_opens_and_closes_in_one_browser(browser: Any, size: tuple[int, int]) -> None:
     with Page(ALL, START) as page:
         begin(page)
@@ -214,6 +214,7 @@ ROOM = """() => {
 }"""
 
 
+@pytest.mark.slow
 def test_labels_of_the_plots_have_room(browser: Any) -> None:
     with Page(told=frozenset({"contacts"})) as page, opened(browser, page.address) as seen:
         begin(page)

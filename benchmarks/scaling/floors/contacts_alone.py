@@ -17,7 +17,6 @@ from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.pair import Sink, Step, make_sink, put_pair
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.pair.narrow_phase import Scene, query_pairs
-from fracture_collision.core.patches.interlocked import SurfaceTable
 from fracture_collision.core.patches.shapes import Geometry
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.scratch import make_scratch
@@ -43,7 +42,7 @@ def contacts_alone(service: CollisionWorld, states: FragmentStates, answer: Cont
         settings.contacts_per_pair, 2 * settings.contacts_per_pair, settings.penetration_tolerance,
         settings.detection_tolerance,
     )  # fmt: skip
-    found, _ = query_pairs(Scene(Geometry(pools, NO_RIDGES), step, SurfaceTable()), rule, (scratch,), Crew(1))
+    found, _ = query_pairs(Scene(Geometry(pools, NO_RIDGES), step), rule, (scratch,), Crew(1))
     begin = np.concatenate(([0], np.cumsum(found.counts)))
     listed = _entries(pools, here.rows, pairs, found)
     sink = make_sink(int(begin[-1]))

@@ -213,8 +213,8 @@ def part_interlocked(
     """Contacts with those of whole surfaces, where a concave pair is deep or pierces; and which pairs' changed.
 
     work: the lists, each pair's slot (p,), and the pairs (m,) that were searched; searched: their contacts, and how
-    many of each pair's (p,), the last ones, lie in the future: these stay, whatever pierces now. rule: with epsilon and
-    near as shares of the smaller R; own: a Scratch for each thread of the Crew.
+    many of each pair's (p,), the last ones, lie in the future. rule: with epsilon and near as shares of the smaller R;
+    own: a Scratch for each thread of the Crew.
     """
     (step, _), (lists, slots, todo), (scratch, crew), pools = moving, work, own, geometry.pools
     found, ahead = searched
@@ -229,7 +229,7 @@ def part_interlocked(
     p, wanted = len(step.pairs), rule.wanted
     sink = Sink(np.empty((len(todo) * wanted, 10)), np.empty((len(todo) * wanted, 5), np.int64))
     out = _Out(np.full(p, _LEAVE), bounds, np.ones(len(found.gaps), np.bool_), sink)
-    known = rule, found, (offsets[:-1], offsets[1:] - ahead), slots, todo
+    known = rule, (found.normals, _gaps_now(found.gaps, offsets, ahead)), offsets, slots, todo
     crew.share(_part_share, surfaces, pools, lists, moving, known, out, own=scratch)
     changed = np.flatnonzero(out.counts >= 0)
     if not len(changed):
@@ -287,20 +287,34 @@ def _put_candidates(geometry, pairs, rule, bounds, scratch, out):
     return used
 
 
+@kernel
+def _gaps_now(gaps, offsets, ahead):
+    """Gaps (N,) [m] of which those of contacts ahead are not negative.
+
+    A contact ahead has the normal of its moment: on a fragment that turns fast its gap may be negative now, though the
+    two are apart there.
+    """
+    now = gaps.copy()
+    for p in range(len(ahead)):
+        for c in range(offsets[p + 1] - ahead[p], offsets[p + 1]):
+            now[c] = max(now[c], 0.0)
+    return now
+
+
 @threaded_kernel
 def _part_share(surfaces, pools, lists, moving, known, out, scratch, part):
     """Process every pair that is a thread's, see Crew.share.
 
-    known: a Rule, PairContacts, the rows of each pair's that are of now, its slot in the lists, and the pairs.
+    known: a Rule, normals and gaps of all contacts, their offsets, the slot of each pair in the lists, and the pairs.
     """
     step, motion = moving
-    rule, found, (begins, ends), slots, todo = known
+    rule, (normals, gaps), offsets, slots, todo = known
     thread, threads = part
     for turn in range(thread, len(todo), threads):
         p = todo[turn]
         pair = put_pair(step, p, scratch.rotation, scratch.translation)
         tolerance = rule.near * min(pools.fragment.radius[pair.a], pools.fragment.radius[pair.b])
-        moved, rows = math.inf, (begins[p], ends[p])
+        moved, rows = math.inf, (offsets[p], offsets[p + 1])
         if share_a_body(pools, pair.a, pair.b):
             moved = displacement(pools, pair, IN_PLACE)
         along, slot, reach = scratch.toward, slots[p], 0.0
@@ -323,7 +337,7 @@ def _part_share(surfaces, pools, lists, moving, known, out, scratch, part):
         sink = Sink(out.found.contacts[begin:end], out.found.ids[begin:end])
         out.counts[p], out.bounds[p] = put_interlocked(
             (surfaces, lists.close, slot, left, reach), pair, Moving(i, j, step.rotations, step.positions, motion), its,
-            (found.normals, found.gaps, rows), out.stays, sink,
+            (normals, gaps, rows), out.stays, sink,
         )  # fmt: skip
 
 
