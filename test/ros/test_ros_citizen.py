@@ -6,6 +6,7 @@ import json
 import time
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 import yaml
@@ -16,6 +17,7 @@ from worlds.broken_bar import BAR, GROUND, STATES, expected_contacts, tell_all
 from worlds.gate_world import FIRST, record_bytes
 
 from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.ros.wire import qos
 from fracture_collision.world import Settings
 from fracture_collision.world.settings import settings_text
 
@@ -30,6 +32,28 @@ def tell_two_boxes(client: ServiceClient, run_id: int) -> None:
     for number in (1, 2):
         box = CollisionBody(number, number, primitive=SolidPrimitive(BOX, (1.0, 1.0, 1.0)))
         client.publish("bodies", box, run_id)
+
+
+def test_a_run_is_prepared_before_its_first_states(stage: StageWithClients) -> None:
+    _, client = stage.served()
+    meshes, topic = list[Any](), qos.FRAGMENT_MESHES
+    client.node.create_subscription(topic.message_class, topic.name, meshes.append, topic.qos)
+    told: list[int] = []
+
+    def are_there() -> bool:
+        """Whether those of a run are; else begins another, as the service may have to discover the subscription."""
+        if not told or time.monotonic() > started[-1] + 2.0:
+            told.append(RUN + len(told))
+            started.append(time.monotonic())
+            tell_two_boxes(client, told[-1])
+        return sum(mesh.run_id == told[-1] for mesh in meshes) == 2
+
+    started: list[float] = []
+    client.spin_until(are_there, "meshes of both bodies")
+    assert not client.answers and not client.registries
+    assert client.ask(TWO_BOXES, told[-1]).fragment_b.tolist() == [2]
+    assert client.await_registry(told[-1], 0).fragment_ids.tolist() == [1, 2]
+    assert sorted(mesh.fragment_id for mesh in meshes if mesh.run_id == told[-1]) == [1, 2], "each once"
 
 
 # --- two simulators ---------------------------------------------------------------------------------------------

@@ -117,7 +117,7 @@ class SimulatorNode(Node):
         """Simulates the scene to its end. Raises Fatal if the service rejects the states."""
         self._await_subscribers(executor)
         self._announce(self._simulation.start_bodies(), [])
-        # The service takes the bodies before it answers this request, and the first step does not wait for them.
+        # The service prepares the bodies that it has before it answers this request: the first step does not wait.
         self._set_lookahead(executor)
         while not self._simulation.finished:
             began = time.perf_counter()

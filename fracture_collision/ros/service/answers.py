@@ -74,6 +74,11 @@ class Answers:
         if body.operation != ADD or body.body_id in run.body_ids:
             self._markers.add_body(body)
 
+    def prepare(self, run: CollisionRun, heading: Heading) -> None:
+        """Makes the fragments of a run whose states were not answered yet, and publishes their meshes."""
+        if self._registry_version is None and not self._publish_new_meshes(run, heading):
+            run.world.fragments()
+
     def refuse(self, run: CollisionRun, heading: Heading, states: FragmentStates) -> None:
         """Publishes that `states` are invalid: no contacts, and the status INVALID_STATES."""
         refusal = refusal_of(states, run.world.settings.lookahead)
@@ -118,14 +123,19 @@ class Answers:
             self._rows.add((states.step, states.fracture_sequence, collision, update, conversion, visits))
 
     def _publish_meshes(self, run: CollisionRun, heading: Heading) -> None:
-        """Publishes meshes of fragments that have none on the topic yet, while there are subscribers."""
-        if self._meshes_version == self._registry_version or self._meshes.get_subscription_count() == 0:
-            return
-        self._meshes_version = self._registry_version
+        """Publishes meshes of new fragments after a change of the registry."""
+        if self._meshes_version != self._registry_version and self._publish_new_meshes(run, heading):
+            self._meshes_version = self._registry_version
+
+    def _publish_new_meshes(self, run: CollisionRun, heading: Heading) -> bool:
+        """Publishes meshes of fragments that have none on the topic yet; False without subscribers."""
+        if self._meshes.get_subscription_count() == 0:
+            return False
         for fragment_id in run.world.fragments().fragment_ids.tolist():
             if fragment_id not in self._meshes_published:
                 self._meshes_published.add(fragment_id)
                 self._meshes.publish(serialize_record(run.world.fragment_mesh(fragment_id), heading, run.run_id))
+        return True
 
 
 def _row_file(path: str) -> RowFile:

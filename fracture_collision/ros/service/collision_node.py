@@ -79,6 +79,7 @@ class CollisionNode(Node):
             },
             self._note,
             self._on_unreadable,
+            self._on_bodies_read,
         )
         self._answers = Answers(self)
         self._diagnostics = self.create_publisher(
@@ -135,6 +136,11 @@ class CollisionNode(Node):
         self._note(*run.add_body(message.record))
         self._answers.add_body(run, message.record)
         self._go_on(run)
+
+    def _on_bodies_read(self, last: Received) -> None:
+        """Prepares a run that has no answers yet, so that its first steps need not wait for that."""
+        if self._run is not None and self._run.run_id == last.run_id and not self._run.event_count:
+            self._answers.prepare(self._run, last.heading)
 
     def _on_fracture(self, message: Received) -> None:
         if self._is_over(qos.FRACTURE_EVENTS, message.run_id):

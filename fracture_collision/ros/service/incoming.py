@@ -15,6 +15,7 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record, place_in_log
 
 LOG = (qos.BODIES, qos.FRACTURE_EVENTS)  # a run can be rebuilt from these
+MOST_BODIES = 1000  # taken at once: other messages wait meanwhile
 
 
 class Incoming:
@@ -27,17 +28,20 @@ class Incoming:
         handlers: Mapping[str, Callable[[Received], None]],
         refuse: Callable[[Refusal], None],
         reject: Callable[[qos.Topic, int, int, str], None],
+        bodies_read: Callable[[Received], None],
     ) -> None:
         """Subscribes only when `listen` is called.
 
         `largest_message`: [bytes]. `handlers`: by the topic's name. `reject`: takes topic, run id and sequence of a
-        message of the log that cannot be read, and the reason.
+        message of the log that cannot be read, and the reason. `bodies_read`: takes the last of the bodies
+        that waited.
         """
         self._node = node
         self._largest_message = largest_message
         self._handlers = handlers
         self._refuse = refuse
         self._reject = reject
+        self._bodies_read = bodies_read
         self._subscriptions: dict[str, Subscription] = {}
         self._log_is_due = False
         self._last_states: tuple[int, int] | None = None  # run id, and number among their publisher's messages
@@ -68,19 +72,36 @@ class Incoming:
         )
 
     def _on_message(self, topic: qos.Topic, data: bytes, info: Mapping[str, Any]) -> None:
+        if topic is not qos.BODIES:
+            self._read(topic, data, info)
+            return
+        # All that wait: an executor takes one at a time, and what was sent after them, states or a request, in between.
+        last, subscription = self._read(topic, data, info), self._subscriptions[topic.name]
+        for _ in range(MOST_BODIES):
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, True)
+            if taken is None:
+                break
+            last = self._read(topic, *taken) or last
+        if last is not None:
+            self._bodies_read(last)
+
+    def _read(self, topic: qos.Topic, data: bytes, info: Mapping[str, Any]) -> Received | None:
+        """Passes a message on; returns it, None if it cannot be read."""
         limit = self._largest_message()
         if len(data) > limit:
             reason = f"{len(data)} bytes, more than the parameter max_message_bytes, {limit}"
             self._refuse_unread(topic, data, "limit_exceeded", reason)
-            return
+            return None
         try:
             received = deserialize_record(data, topic.message_class)
         except ValueError as error:
             self._refuse_unread(topic, data, "malformed", str(error))
-            return
+            return None
         if topic is qos.FRAGMENT_STATES:
             self._count_dropped(received.run_id, info["publication_sequence_number"])
         self._handlers[topic.name](received)
+        return received
 
     def _count_dropped(self, run_id: int, number: int) -> None:
         """The depth of the subscription is 1: what was not taken before the next came is gone."""
