@@ -258,6 +258,11 @@ def _is_any(x):
 ROUNDING = 1.0e-7
 # Impacts one after the other in a step, at most: a blow passes along so many touching bodies.
 MOST_IMPACTS = 64
+# A contact bounces again within a step while the product of its restitutions so far exceeds this. Pieces that are
+# struck among others bounce to and fro, each time with a share of the speed; what is left then does not bounce.
+LEAST_BOUNCE = 0.02
+# `accuracy` of impulses that others start from.
+FIRST_GUESS = 1.0e-3
 # Factor on `accuracy` from one round to the next.
 SHARPER = 0.1
 
@@ -290,7 +295,7 @@ def find_velocities(rows, surfaces, gaps, before, iterate, settings):
         # While the impulses are far too small, everything slides, and friction moves light bodies under heavy ones.
         still = np.zeros_like(surfaces.friction)
         smooth = Surfaces(still, still, surfaces.impulse_limits)
-        sweep(rows, smooth, targets, free, iterate, settings.rounds * settings.iterations, settings.accuracy)
+        sweep(rows, smooth, targets, free, iterate, settings.iterations, FIRST_GUESS)
     enough, accuracy = ROUNDING * _inner(rows, gravity, gravity), settings.accuracy
     for _ in range(settings.rounds):
         sweep(rows, surfaces, targets, free, iterate, settings.iterations, accuracy)
@@ -315,25 +320,26 @@ def _are_struck(rows, targets, gaps, u):
 def _impacts(rows, surfaces, gaps, open_by, gravity, iterate, settings):
     """Bounce what approaches and closes up in this step, (4): the Iterate has u(t), and gets what it is after impacts.
 
-    All contacts that approach bounce together, until none does: a row of touching balls passes a blow on from one to
-    the next, and a box that lands flat stays flat (generalized reflections: Smith, Kaufman, Vouga, Tamstorf, Grinspun,
-    "Reflections on Simultaneous Impact", 2012). Others transmit nothing meanwhile. open_by (N,) [m/s]: by which a
-    contact closes up in the step; gravity: see _gravity.
+    All contacts that approach bounce together, until none does that may (LEAST_BOUNCE): a row of touching balls passes
+    a blow on from one to the next, and a box that lands flat stays flat (generalized reflections: Smith, Kaufman,
+    Vouga, Tamstorf, Grinspun, "Reflections on Simultaneous Impact", 2012). Others transmit nothing meanwhile. open_by
+    (N,) [m/s]: by which a contact closes up in the step; gravity: see _gravity.
     """
     if not (gaps.restitution > 0.0).any():
         return
     count, u = len(open_by), iterate.u
-    approach, falls = np.empty(count), np.empty(count)
+    approach, falls, left = np.empty(count), np.empty(count), np.ones(count)
     normal_velocities(rows, gravity, falls)
     nothing = np.zeros_like(u)
     for _ in range(MOST_IMPACTS):
         normal_velocities(rows, u, approach)
         bouncing = np.flatnonzero(
             (gaps.restitution > 0.0) & (surfaces.impulse_limits == np.inf) & (approach < -gaps.bounce_speeds)
-            & (approach + falls + open_by < 0.0)
+            & (approach + falls + open_by < 0.0) & (left > LEAST_BOUNCE)
         )  # fmt: skip
         if not len(bouncing):
             return
+        left[bouncing] *= gaps.restitution[bouncing]
         own, its, pairs = _those(rows, surfaces, bouncing)
         targets, now = np.zeros(len(bouncing)), u.copy()
         plastic = Iterate(np.zeros((len(bouncing), 3)), np.zeros((len(pairs), 3)), u.copy())
