@@ -15,10 +15,9 @@ from benchmarks.random_pairs import EPSILON, Pair, campaign
 PAIR = Pair(0.01, 0.02, 0.01, 4, True, 0.0, 1, "box box")
 
 
-@pytest.mark.parametrize("family", [
-        "triangles", pytest.param("boxes", marks=pytest.mark.slow),
-        pytest.param("flat fragments", marks=pytest.mark.slow),
-    ])
+@pytest.mark.parametrize(
+    "family", ["triangles", *(pytest.param(name, marks=pytest.mark.slow) for name in ("boxes", "flat fragments"))]
+)
 def test_pairs_are_listed_parted_and_not_invented(family: str) -> None:
     found = list(campaign(family, 60, 5))
     deep = [pair for pair in found if pair.depth > EPSILON]
