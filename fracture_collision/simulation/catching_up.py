@@ -70,7 +70,7 @@ NOTHING = Expected(
 def carried_contacts(waited: Waited, after: BodyStates, settings: SolverSettings) -> Touching:
     """The contacts of a step at its end, where bodies are as in `after`: those that are open by `ahead_gap` at most."""
     before = waited.states
-    contacts, pairs = _all_of(waited)
+    contacts, pairs = _all_of(waited, settings)
     none = len(after.masses)
     # Rows of what cannot move are the last; a fragment that broke has the same row, but has no contacts any more.
     rows = np.append(rows_of(before.fragment_ids, after.fragment_ids), none)
@@ -138,12 +138,13 @@ def _carry(body, point, course, to):
 
 
 def extra_times(
-    waited: Waited, after: BodyStates, is_pushed: np.ndarray, pairs: BodyPairs, time_step: float
+    waited: Waited, after: BodyStates, is_pushed: np.ndarray, carried: Touching, time_step: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(n,) [s] for which the bodies of `after` move beyond a time step; (n,) bool: those to expect velocities of.
 
-    is_pushed (n,) bool. pairs: of the bodies that are near each other.
+    is_pushed (n,) bool. carried: contacts of the bodies that are near each other. What has none flies on as it is.
     """
+    contacts, pairs = carried
 
     def of(values: np.ndarray) -> np.ndarray:
         return ByFragment(waited.states.fragment_ids, values).of(after.fragment_ids)
@@ -158,23 +159,28 @@ def extra_times(
         its, begin, counts = islands.bodies, islands.body_begin[:-1], np.diff(islands.body_begin)
         extra[its] = np.repeat(np.minimum.reduceat(extra[its], begin), counts)
         is_expected[its] = np.repeat(np.logical_or.reduceat(is_expected[its], begin), counts)
-    return np.where(np.isinf(extra), 0.0, extra), is_expected
+    touch, has_contacts = np.zeros(len(extra) + 1, bool), np.diff(contacts.pair_begin) > 0
+    touch[pairs.body_a[has_contacts]] = touch[pairs.body_b[has_contacts]] = True
+    return np.where(np.isinf(extra), 0.0, extra), is_expected & touch[:-1]
 
 
-def _all_of(waited: Waited) -> Touching:
+def _all_of(waited: Waited, settings: SolverSettings) -> Touching:
     """The contacts of a step, those ahead, and those of the step before between pairs that have none now.
 
-    Bodies that open a little while they turn touch again in the next step, or the one after.
+    Bodies that open a little while they turn touch again in the next step, or the one after. Where the points have slid
+    apart by more than `ahead_gap`, the bodies have left each other.
     """
     now, pairs, ahead, pairs_ahead = waited.contacts
     found = _joined((now, pairs), (ahead, pairs_ahead)) if len(ahead.gaps) else (now, pairs)
     if waited.earlier is None:
         return found
     contacts, pairs = waited.earlier
-    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
     codes, known = ((its.fragment_a.astype(np.uint64) << 32) | its.fragment_b for its in (contacts, found[0]))
-    stays = (counts > 0) & (rows_of(codes, np.sort(known)) == len(known))
-    kept = np.repeat(stays, counts)
+    stays = rows_of(codes, np.sort(known)) == len(known)
+    kept, stays = _not_slid(
+        contacts.pair_begin, stays, (contacts.points_a, contacts.points_b, contacts.normals),
+        settings.ahead_gap * pairs.sizes,
+    )  # fmt: skip
     contacts = chosen_contacts(contacts, kept, stays)
     ids = waited.states.fragment_ids  # there may be new ones since
     left = BodyPairs(
@@ -182,6 +188,28 @@ def _all_of(waited: Waited) -> Touching:
         pairs.sizes[stays], pairs.bounce_speeds[stays], pairs.rest_gaps[kept],
     )  # fmt: skip
     return _joined(found, (contacts, left))
+
+
+@cached_njit
+def _not_slid(begin, is_wanted, contacts, reach):
+    """(N,) bool: contacts of the wanted (p,) pairs whose points are within `reach` (p,) [m] along the surface.
+
+    And (p,) bool: pairs that have such contacts.
+    """
+    points_a, points_b, normals = contacts
+    kept, stays = np.zeros(len(points_a), np.bool_), np.zeros(len(is_wanted), np.bool_)
+    for pair in range(len(is_wanted)):
+        if not is_wanted[pair]:
+            continue
+        for c in range(begin[pair], begin[pair + 1]):
+            gap, square = 0.0, 0.0
+            for i in range(3):
+                apart = points_b[c, i] - points_a[c, i]
+                gap += apart * normals[c, i]
+                square += apart * apart
+            kept[c] = square - gap * gap <= reach[pair] * reach[pair]
+            stays[pair] |= kept[c]
+    return kept, stays
 
 
 def _joined(first: Touching, second: Touching) -> Touching:

@@ -354,7 +354,7 @@ class Simulation:
         settings, ids, time_step = self._scene.solver, states.fragment_ids, self._scene.time_step
         contacts, pairs = self._carried = carried_contacts(waited, states, settings)
         pushes = np.zeros((len(ids), 6)) if self._planned is None else self._planned.pushes.of(ids)
-        extra, is_expected = extra_times(waited, states, np.any(pushes, axis=1), pairs, time_step)
+        extra, is_expected = extra_times(waited, states, np.any(pushes, axis=1), self._carried, time_step)
         bodies = self._rigid_bodies(states, pushes, time_step + extra, np.zeros(len(ids), bool))
         still, zeros = np.zeros((len(ids), 6)), np.zeros(len(contacts.gaps))
         nothing = Solution(bodies.free_velocities, still, zeros, zeros, self._warm_start)

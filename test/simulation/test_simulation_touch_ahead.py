@@ -16,12 +16,12 @@ from worlds.small_scenes import ball, box, small_scene
 from benchmarks.tunnelling import TIME_STEP, run_trial, scene_of
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.simulation.catching_up import CATCH_UP, Waited, extra_times
+from fracture_collision.simulation.catching_up import CATCH_UP, Waited, carried_contacts, extra_times
 from fracture_collision.simulation.engine import BodyStates
-from fracture_collision.simulation.scene.scene import Scene
-from fracture_collision.simulation.solver.contact_solver import BodyPairs
+from fracture_collision.simulation.scene.scene import Scene, load_scene
+from fracture_collision.simulation.solver.contact_solver import BodyPairs, SolverSettings
 from fracture_collision.simulation.solver.side_by_side import Boxes, Motion, shares_side_by_side
-from fracture_collision.simulation.solver.touch_ahead import Touches, shares_until_touch
+from fracture_collision.simulation.solver.touch_ahead import StepContacts, Touches, shares_until_touch
 from fracture_collision.world import Settings
 
 REST, SPARE = 1e-4, 5e-4
@@ -267,7 +267,7 @@ def test_bodies_near_each_other_make_up_for_the_same_time() -> None:
     at_rest = np.array([False, False, False, False, True, False])
     own = states(6, [0.0] * 6)
     waited = Waited(own, None, None, np.zeros(6, bool), np.zeros(6, bool), at_rest, lost)
-    near = pairs([(0, 1), (3, 4), (2, 6), (5, 6)])
+    near = contacts([[0.0]] * 4), pairs([(0, 1), (3, 4), (2, 6), (5, 6)])
     extra, is_expected = extra_times(waited, own, np.zeros(6, bool), near, STEP)
     most = CATCH_UP * STEP
     assert extra.tolist() == [0.001, 0.001, 0.0, most, most, 0.001]
@@ -282,6 +282,36 @@ def test_bodies_that_turn_far_in_a_step_do_not_move_for_longer() -> None:
     lost, none = np.full(3, 0.001), np.zeros(3, bool)
     own = states(3, [1.0, 10.0, 10.0])
     waited = Waited(own, None, None, np.array([False, False, True]), none, none, lost)
-    extra, is_expected = extra_times(waited, own, none, pairs([]), STEP)
+    extra, is_expected = extra_times(waited, own, none, (contacts([]), pairs([])), STEP)
     assert extra.tolist() == [0.001, 0.0, 0.001]
-    assert is_expected.all()
+    assert not is_expected.any()  # nothing touches them: they fly on as they did
+
+
+def test_contacts_of_earlier_steps_are_dropped_once_bodies_have_left_each_other() -> None:
+    """One whose bodies open along the normal stays up to `ahead_gap`, one whose bodies have slid apart does not."""
+    settings, own, none = SolverSettings(), states(4, [0.0] * 4), np.zeros(4, bool)
+    most = settings.ahead_gap  # of bodies of 1 m
+    earlier = contacts([[0.5 * most], [0.5 * most, -0.1]])
+    earlier.points_b[1:, 1] = 2.0 * most
+    rows = pairs([(0, 1), (0, 2)])
+    rows = rows._replace(sizes=np.ones(2), rest_gaps=np.zeros(3))
+    now = contacts([]), pairs([]), contacts([]), pairs([])
+    waited = Waited(own, StepContacts(*now), (earlier, rows), none, none, none, np.zeros(4))
+    kept, kept_rows = carried_contacts(waited, own, settings)
+    assert kept.contact_ids.tolist() == [0]
+    assert kept_rows.body_b.tolist() == [1]
+
+
+def test_no_shard_floats() -> None:
+    """A shard that nothing touches falls as others do; bodies beside it may hold it back for some steps."""
+    scene, floats, longest = load_scene("plates"), {}, 0
+    with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as run:
+        for _ in range(700):
+            answer, ids = run.step().contacts, run.simulation._engine.states().fragment_ids
+            has_contacts = np.diff(answer.pair_begin) > 0
+            touch = set(answer.fragment_a[has_contacts]) | set(answer.fragment_b[has_contacts])
+            shares = run.simulation.shares
+            held = set(ids[shares < 1.0]) - touch if len(shares) == len(ids) else set()
+            floats = {i: floats.get(i, 0) + 1 for i in held}
+            longest = max(longest, *floats.values(), 0)
+    assert 0 < longest < 50
