@@ -11,6 +11,7 @@ import math
 import signal
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,12 +49,16 @@ class Answered(NamedTuple):
     seconds: float  # from the start of the new service's process
 
 
-class Mixed(NamedTuple):
-    kills: int
-    returns: list[Answered]
-    deaf: list[str]  # descriptions
-    faults: list[str]  # descriptions of nodes that ended by themselves or with an error
-    longest_end: float  # [s] from SIGINT to a node's end
+@dataclass
+class Mixed:
+    """What kills have shown so far."""
+
+    kills: int = 0
+    returns: list[Answered] = field(default_factory=list)
+    deaf: list[str] = field(default_factory=list)  # descriptions
+    faults: list[str] = field(default_factory=list)  # of nodes that ended by themselves or with an error
+    longest_end: float = 0.0  # [s] from SIGINT to a node's end
+    is_interrupted: bool = False
 
 
 class _Trial:
@@ -136,46 +141,50 @@ class _Trial:
 
 
 def kill_mixed(folder: Path, scene: str, times: int, seed: int, progress: Progress) -> Mixed:
-    """`times`: SIGKILLs, in as many runs as needed."""
-    random = np.random.default_rng(seed)
-    kills, longest_end = 0, 0.0
-    returns: list[Answered] = []
-    deaf: list[str] = []
-    faults: list[str] = []
-    for run in range(MOST_RUNS):
-        own = folder / f"mixed_{run}"
-        with stage(own) as nodes:
-            trial = _Trial(nodes, own, scene)
-            await_step(trial.simulator, 0, *trial.node.values())
-            while kills < times and not trial.is_over:
-                progress(f"run {run + 1}: {kills} of {times} kills of service and recorder")
-                victims, moment = VICTIMS[random.integers(3)], MOMENTS[random.integers(3)]
-                trial.await_moment(moment, random.uniform(0.0, LONGEST_WAIT))
-                if trial.is_over:
-                    break
-                step = steps_told(trial.simulator)
-                kills += trial.kill(*victims)
-                if moment == "start":
-                    trial.await_moment("any", random.uniform(0.0, LONGEST_START))
-                    kills += trial.kill(*victims)
-                awaited = len(answers_awaited(trial.simulator))
-                started = time.time() - age_of(trial.node[SERVICE].pid)
-                if fault := trial.come_back(victims, step):
-                    ended = [name for name in victims if trial.node[name].exit_status() is not None]
-                    (faults if ended else deaf).append(f"{moment}: {fault}")
-                    break
-                came = answers_awaited(trial.simulator)[awaited:]
-                if SERVICE in victims and came:
-                    returns.append(Answered(victims, moment, came[0] - started))
-            trial.await_all_up()
-            for node in (trial.simulator, *trial.node.values()):
-                began = time.monotonic()
-                if fault := fault_at_end(node, node.stop(patience=2.0 * LONGEST_END)):
-                    faults.append(fault)
-                longest_end = max(longest_end, time.monotonic() - began)
-        if kills >= times or deaf:
+    """`times`: SIGKILLs, in as many runs as needed. Ctrl-C ends it with what there is."""
+    random, mixed = np.random.default_rng(seed), Mixed()
+    try:
+        for run in range(MOST_RUNS):
+            if mixed.kills >= times or mixed.deaf:
+                break
+            own = folder / f"mixed_{run}"
+            with stage(own) as nodes:
+                _kill_in_a_run(_Trial(nodes, own, scene), mixed, times, random, progress)
+    except KeyboardInterrupt:
+        mixed.is_interrupted = True
+    return mixed
+
+
+def _kill_in_a_run(
+    trial: _Trial, mixed: Mixed, times: int, random: np.random.Generator, progress: Progress
+) -> None:  # fmt: skip
+    await_step(trial.simulator, 0, *trial.node.values())
+    while mixed.kills < times and not trial.is_over:
+        progress(f"{mixed.kills} of {times} kills of service and recorder")
+        victims, moment = VICTIMS[random.integers(3)], MOMENTS[random.integers(3)]
+        trial.await_moment(moment, random.uniform(0.0, LONGEST_WAIT))
+        if trial.is_over:
             break
-    return Mixed(kills, returns, deaf, faults, longest_end)
+        step = steps_told(trial.simulator)
+        mixed.kills += trial.kill(*victims)
+        if moment == "start":
+            trial.await_moment("any", random.uniform(0.0, LONGEST_START))
+            mixed.kills += trial.kill(*victims)
+        awaited = len(answers_awaited(trial.simulator))
+        started = time.time() - age_of(trial.node[SERVICE].pid)
+        if fault := trial.come_back(victims, step):
+            ended = [name for name in victims if trial.node[name].exit_status() is not None]
+            (mixed.faults if ended else mixed.deaf).append(f"{moment}: {fault}")
+            break
+        came = answers_awaited(trial.simulator)[awaited:]
+        if SERVICE in victims and came:
+            mixed.returns.append(Answered(victims, moment, came[0] - started))
+    trial.await_all_up()
+    for node in (trial.simulator, *trial.node.values()):
+        began = time.monotonic()
+        if fault := fault_at_end(node, node.stop(patience=2.0 * LONGEST_END)):
+            mixed.faults.append(fault)
+        mixed.longest_end = max(mixed.longest_end, time.monotonic() - began)
 
 
 def medians(returns: list[Answered]) -> dict[str, tuple[int, float, float]]:
