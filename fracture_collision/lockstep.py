@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from fracture_collision.records import ContactConstraintArray, FragmentRegistry, FragmentStates
-from fracture_collision.simulation.engine import RigidBodyWorld
+from fracture_collision.simulation.dynamics import Dynamics
 from fracture_collision.simulation.scene.scene import Scene
 from fracture_collision.simulation.simulation import Simulation, StepReport, StepRequest
 from fracture_collision.world import CollisionWorld, Settings
@@ -49,11 +49,11 @@ class Lockstep:
 
     def __init__(
         self, scene: Scene, settings: Settings | None = None, seed: int | None = None,
-        engine: RigidBodyWorld | None = None,
+        dynamics: Dynamics | None = None,
     ) -> None:  # fmt: skip
         settings = Settings(lookahead=scene.time_step) if settings is None else settings
         self.world = CollisionWorld(settings)
-        self.simulation = Simulation(scene, seed, engine, settings.lookahead > 0.0)
+        self.simulation = Simulation(scene, seed, dynamics, settings.lookahead > 0.0)
         self._told = 0  # events that the service has
         for body in self.simulation.start_bodies():
             self.world.add_body(body)

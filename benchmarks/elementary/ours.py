@@ -38,12 +38,12 @@ def run(scene: Scene, scale: float = 1.0, turn: float = 0.0) -> Trace:
                 running.world.add_body(surface_of(body) if has_no_inside else body)
             running._registry = running.world.fragments()
         for exchange in running:
-            states, report = running.simulation._engine.states(), exchange.report
+            states, report = running.simulation.dynamics.states(), exchange.report
             rows.append((
                 states.centers / scale, states.linear / root, states.angular * root, report.kinetic_energy,
                 report.kinetic_energy + report.potential_energy, report.deepest_gap / scale,
             ))  # fmt: skip
-        asleep = running.simulation._rest.asleep.copy()
+        asleep = running.simulation.dynamics._rest.asleep.copy()
     columns = [np.array(column) for column in zip(*rows, strict=True)]
     columns[3] = columns[3] / max(columns[3][0], 1e-300)
     return turned_back(Trace(*columns, asleep), turn)

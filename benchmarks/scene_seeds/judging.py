@@ -128,7 +128,7 @@ class EnergyWatch:
 
     def _energy_of_robot(self) -> float:
         """[J]; its parts do not break."""
-        states = self._run.simulation._engine.states()
+        states = self._run.simulation.dynamics.states()
         own = np.isin(states.fragment_ids, self._robot)
         velocities = np.hstack((states.linear, states.angular))[own]
         kinetic = kinetic_energy(states.masses[own], states.inertias[own], velocities)
@@ -143,9 +143,9 @@ def judged(scene: Scene, settings: Settings, seed: int) -> Verdict:
     events: list[FractureEvent] = []
     with Lockstep(scene, settings, seed) as run:
         bodies, watch, steps = run.simulation.start_bodies(), EnergyWatch(run, scene), 0
-        now = run.simulation._engine.states()
+        now = run.simulation.dynamics.states()
         for exchange in run:
-            before, now = now, run.simulation._engine.states()
+            before, now = now, run.simulation.dynamics.states()
             watch.take(exchange)
             events += exchange.report.events
             steps += 1
@@ -161,7 +161,7 @@ def verdict(
     told: the bodies and events that led to it; restless: ids of bodies that are not at rest, whatever their velocity.
     """
     states, support = run.states(), support_of(run, scene)
-    bodies = run.simulation._engine.states()
+    bodies = run.simulation.dynamics.states()
     resting = np.setdiff1d(support.fragment_ids, restless)
     restless = np.setdiff1d(bodies.fragment_ids, resting)
     answer = run.world.contacts(states)

@@ -7,15 +7,18 @@ arrays: they are looked up when bodies come or go, not for every contact.
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from fracture_collision.records import REMOVE, CollisionBody, ContactConstraintArray, FractureEvent, FragmentRegistry
 from fracture_collision.simulation.breakable_body import BreakableBody
-from fracture_collision.simulation.engine import BodyStates, FrameState, MassProperties, RigidBodyWorld, rows_of
+from fracture_collision.simulation.engine import BodyStates, FrameState, MassProperties, rows_of
 from fracture_collision.simulation.scene.scene import SceneBody, collision_body
 from fracture_collision.simulation.solver.touch_ahead import Forms
+
+if TYPE_CHECKING:
+    from fracture_collision.simulation.dynamics import Dynamics
 
 
 class Cast:
@@ -80,7 +83,7 @@ class Cast:
         self._enter(number)
         return number
 
-    def take_out(self, body_id: int, engine: RigidBodyWorld) -> list[int]:
+    def take_out(self, body_id: int, engine: Dynamics) -> list[int]:
         """Remove a body with all its fragments; returns these. KeyError if no movable body has this id."""
         body = self.body_of[body_id]
         if body.is_static:
@@ -95,7 +98,7 @@ class Cast:
         self._news.append(self._numbered(collision_body(body_id, body)._replace(operation=REMOVE)))
         return gone
 
-    def replace(self, event: FractureEvent, frame: FrameState, engine: RigidBodyWorld) -> None:
+    def replace(self, event: FractureEvent, frame: FrameState, engine: Dynamics) -> None:
         """Replace a broken fragment by its pieces, which wait in its `frame`."""
         self._next_fragment_id += len(event.new_fragment_ids)
         engine.remove(event.fragment_id)
@@ -104,7 +107,7 @@ class Cast:
             self.body_id_of[new_id] = body_id
             self.waiting[new_id] = frame
 
-    def admit_waiting(self, registry: FragmentRegistry, engine: RigidBodyWorld) -> None:
+    def admit_waiting(self, registry: FragmentRegistry, engine: Dynamics) -> None:
         """Move the waiting fragments into the engine. ValueError if one is missing in the registry."""
         if not self.waiting:
             return

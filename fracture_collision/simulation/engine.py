@@ -80,6 +80,10 @@ class BodyStates(NamedTuple):
         """Of the body frames' origins: v + w x (origin - c), (n, 3) [m/s]."""
         return self.linear + np.cross(self.angular, self.frame_positions - self.centers)
 
+    def velocities(self) -> np.ndarray:
+        """Linear and angular velocities, (n, 6) [m/s, rad/s]."""
+        return np.hstack((self.linear, self.angular))
+
     def frame(self, i: int) -> FrameState:
         """Motion of the body frame of the i-th body."""
         return FrameState(

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import time
 import warnings
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,16 +28,7 @@ from fracture_collision.simulation.actors.arm import PARTS
 from fracture_collision.simulation.actors.arm_control import ArmControl
 from fracture_collision.simulation.actors.hand import Drag
 from fracture_collision.simulation.cast import Cast, SharedTraits, Traits, shared_traits, traits_of
-from fracture_collision.simulation.catching_up import (
-    MOST_LOST,
-    NOTHING,
-    ROUGHLY,
-    Expected,
-    Touching,
-    Waited,
-    carried_contacts,
-    extra_times,
-)
+from fracture_collision.simulation.dynamics import Dynamics, Given, Solved
 from fracture_collision.simulation.engine import (
     NO_CHANGES,
     BodyStates,
@@ -47,80 +37,51 @@ from fracture_collision.simulation.engine import (
     Planned,
     Pusher,
     Pushes,
-    RigidBodyWorld,
-    free_velocities,
-    mean_spins,
     planned,
     pushes_of,
 )
+from fracture_collision.simulation.own_dynamics import OwnDynamics
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene.scene import Fracture, Scene, SceneBody
-from fracture_collision.simulation.solver import contact_memory, sleep
+from fracture_collision.simulation.solver import contact_memory
 from fracture_collision.simulation.solver.contact_memory import rest_gaps_of, with_remembered
 from fracture_collision.simulation.solver.contact_solver import (
-    Again,
     BodyPairs,
-    RigidBodies,
-    Solution,
     bounce_speeds,
-    flight_drift,
     hardest_hit,
     kinetic_energy,
-    solve_contacts,
-    solve_with_strengths,
 )
-from fracture_collision.simulation.solver.touch_ahead import Course, StepContacts, shares_of_step, split_by_gap
-from fracture_collision.simulation.solver.warm_start import NO_WARM_START
+from fracture_collision.simulation.solver.touch_ahead import StepContacts, split_by_gap
 from fracture_collision.simulation.step_records import LookaheadCheck, StepReport, StepRequest, fragment_states
-
-
-class _Solved(NamedTuple):
-    """The solved contacts of a step, before the bodies move."""
-
-    contacts: StepContacts
-    bodies: RigidBodies  # with gravity for the time in which they move if nothing holds them back
-    searched: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
-    solution: Solution
-    limits: np.ndarray  # (N,) [N s] of the contacts' impulses: what materials bear
-    flight: np.ndarray  # (n, 6) drift of bodies in free flight
-    overloaded: np.ndarray  # rows of the bodies that break
-    deepest_gap: float  # [m]
-    pushed_energy: float  # [J] added by hand, hammer and arm
 
 
 class Simulation:
     """A run of one scene. The same scene, seed and answers give the same states, byte for byte.
 
-    `seed`, if given, replaces the scene's, `engine` the RigidBodyWorld. looks_ahead: the contacts come from a service
-    that looks a step ahead (its parameter `lookahead`), see touch_ahead.
+    `seed`, if given, replaces the scene's, `dynamics` the package's own engine. looks_ahead: the contacts come from a
+    service that looks a step ahead (its parameter `lookahead`), see touch_ahead.
     """
 
     def __init__(
-        self, scene: Scene, seed: int | None = None, engine: RigidBodyWorld | None = None, looks_ahead: bool = False
+        self, scene: Scene, seed: int | None = None, dynamics: Dynamics | None = None, looks_ahead: bool = False
     ) -> None:
         self._scene = scene
         self._seed = scene.seed if seed is None else seed
         self._looks_ahead = looks_ahead
         self._lookahead_check = LookaheadCheck(scene.time_step if looks_ahead else None)
-        self._engine = RigidBodyWorld(scene.time_step) if engine is None else engine
+        if dynamics is None:
+            dynamics = OwnDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead)
+        self.dynamics = dynamics
         self._step = 0
         self._sequence = 0
         self._cast = Cast(scene.bodies)
         self._events: list[FractureEvent] = []
         self._held_together: set[int] = set()  # fragments hit hard enough, but with no pattern to break by
         self._known_traits: Traits | None = None
-        self._warm_start = NO_WARM_START
         self._memory = contact_memory.NOTHING
-        self._rest = sleep.NOBODY
         self._requested: FragmentStates | None = None
-        self._searched: tuple[BodyStates, BodyStates] | None = None  # of the request, and as they are searched
         self._planned: Planned | None = None  # of this step, where the service gets the pushes in advance
         self._taken = NO_CHANGES  # by contacts in the last step
-        self.shares = np.ones(0)  # of their courses in the last step, for which bodies moved: see touch_ahead
-        self._waited: Waited | None = None  # the last step, if the next one has to make up for it
-        self._lost = NOTHING.extra  # (n,) [s] that bodies are behind
-        self._expected = NOTHING  # of this step
-        self._carried: Touching | None = None  # to this step, from the last one that had to be made up for
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
@@ -147,15 +108,15 @@ class Simulation:
 
     def close(self) -> None:
         """Release the engine's resources."""
-        self._engine.close()
+        self.dynamics.close()
 
     def grab(self, name: str, position: np.ndarray) -> bool:
         """`drag.grab` among the bodies in motion; `drag` moves the hand and lets go."""
-        return self.drag.grab(name, position, self._engine.states())
+        return self.drag.grab(name, position, self.dynamics.states())
 
     def hold(self, fragment_id: int, point: np.ndarray, position: np.ndarray) -> bool:
         """`drag.hold` among the bodies in motion."""
-        return self.drag.hold(fragment_id, point, position, self._engine.states())
+        return self.drag.hold(fragment_id, point, position, self.dynamics.states())
 
     def add_pusher(self, pusher: Pusher) -> None:
         """Add a pusher, beside the hand, from the next step on."""
@@ -170,7 +131,7 @@ class Simulation:
 
     def take_out(self, body_id: int) -> None:
         """Remove a body with all its fragments. KeyError if no movable body has this id."""
-        if self.drag.held in self._cast.take_out(body_id, self._engine):
+        if self.drag.held in self._cast.take_out(body_id, self.dynamics):
             self.drag.release()
 
     def start_bodies(self) -> list[CollisionBody]:
@@ -182,16 +143,11 @@ class Simulation:
         self._cast.enter_until(self.time + 1e-9 * self._scene.time_step)
         # A fragment that waits for the registry may be the one to push: then pushes are not planned.
         if self._looks_ahead and self._planned is None and not self._cast.waiting:
-            states = self._engine.states()
+            states = self.dynamics.states()
             self._planned = planned(states.fragment_ids, self._pushes(states), self._taken)
-        if self._waited is not None:
-            states = self._engine.states()  # of nothing, if all bodies have left or broken
-            self._expected = self._expect(states, self._waited) if len(states.masses) else NOTHING
-            self._waited = None
+        searched = self.dynamics.begin(self._planned)
         others = self._cast.static_frames | {i: self._falling(frame) for i, frame in self._cast.waiting.items()}
-        states = self._engine.states()
-        self._searched = states, self._to_search(states)
-        requested = fragment_states(self._step, self._sequence, self._searched[1], others)
+        requested = fragment_states(self._step, self._sequence, searched, others)
         self._requested = requested._replace(body_sequence=self._cast.body_sequence)
         return StepRequest(self._requested, self._cast.take_news(), list(self._events))
 
@@ -204,18 +160,21 @@ class Simulation:
         if words := self.unexpected(contacts):
             warnings.warn(words, stacklevel=2)
         self._events.clear()
-        self._cast.admit_waiting(registry, self._engine)
-        states = self._engine.states()
+        self._cast.admit_waiting(registry, self.dynamics)
+        states = self.dynamics.states()
         started = time.perf_counter()
-        solved = self._solve(states, contacts, requested)
-        lifted = self._move(states, solved)
+        given, deepest_gap, pushed_energy = self._given(states, contacts, requested)
+        solved = self.dynamics.solve(given)
+        if self._looks_ahead:
+            self._taken = ByFragment(states.fragment_ids, solved.taken)
+        lifted = self.dynamics.move()
         solver_seconds = time.perf_counter() - started
         self._step += 1
 
-        moved = self._engine.states()
-        energy = kinetic_energy(moved.masses, moved.inertias, _velocities(moved))
+        moved = self.dynamics.states()
+        energy = kinetic_energy(moved.masses, moved.inertias, moved.velocities())
         started = time.perf_counter()
-        self._break_overloaded(states, moved, solved)
+        self._break_overloaded(given, moved, solved)
         return StepReport(
             step=requested.step,
             time=self.time,
@@ -227,9 +186,9 @@ class Simulation:
             potential_energy=-float((moved.masses * dots(moved.centers, self._scene.gravity)).sum()),
             drift_energy=lifted,
             max_speed=float(lengths(moved.linear).max(initial=0.0)),
-            deepest_gap=solved.deepest_gap,
+            deepest_gap=deepest_gap,
             events=list(self._events),
-            hand_energy=solved.pushed_energy,
+            hand_energy=pushed_energy,
         )
 
     def unexpected(self, contacts: ContactConstraintArray) -> str:
@@ -245,7 +204,7 @@ class Simulation:
         `overload` is the blow's impulse over the material's strength. Returns False if the fragment holds together.
         ValueError if no such fragment is in motion, or its body does not break.
         """
-        states = self._engine.states()
+        states = self.dynamics.states()
         rows = np.flatnonzero(states.fragment_ids == fragment_id)
         if not len(rows):
             raise ValueError(f"fragment {fragment_id} is not in motion")
@@ -264,8 +223,10 @@ class Simulation:
             )
         return self._requested
 
-    def _solve(self, states: BodyStates, contacts: ContactConstraintArray, requested: FragmentStates) -> _Solved:
-        """Solve the contacts of `requested` for the velocities after the step, pushes and sleep included."""
+    def _given(
+        self, states: BodyStates, contacts: ContactConstraintArray, requested: FragmentStates
+    ) -> tuple[Given, float, float]:
+        """The contacts of `requested` as the engine gets them, their smallest gap [m], and the pushes' energy [J]."""
         if self.arm is not None:
             contacts = self.arm.without_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))
@@ -275,98 +236,20 @@ class Simulation:
         ahead, of_ahead, counts = split.ahead, shared.of(split.pairs_ahead), np.diff(split.ahead.pair_begin)
         pairs_ahead = self._body_pairs(of_ahead, np.repeat(settings.rest_gap * of_ahead.sizes, counts))
         contacts, shared = split.now, shared.of(split.pairs)
-        touched = self._memory.fragment_a, self._memory.fragment_b
         reach = settings.memory_reach * shared.sizes
         contacts, self._memory = with_remembered(contacts, requested, self._memory, reach)
         gaps = rest_gaps_of(self._memory, shared.is_one_body, settings.rest_gap * shared.sizes)
         pairs = self._body_pairs(shared, gaps)
-        searched = None
-        if self._looks_ahead:  # with the bodies of the request, or with more that had waited for the registry
-            if self._searched is None or self._searched[0] is not states:
-                self._searched = states, self._to_search(states)
-            searched = _velocities(self._searched[1])
-        if self._planned is None:
-            pushes = self._pushes(states)
-        else:
-            pushes = Pushes(self._planned.pushes.of(states.fragment_ids), self._planned.energy)
-        self._planned = None
-        rest = sleep.roused(self._rest, states.fragment_ids, touched, np.any(pushes.velocities, axis=1))
-        self._rest = sleep.settled(rest, self._memory.pair_begin, pairs.body_a, pairs.body_b, settings.sleep_time)
-        bodies = self._rigid_bodies(states, pushes.velocities, self._spans(states), self._rest.asleep)
-        solution, overloaded, limits = solve_with_strengths(
-            bodies, contacts, pairs, self._warm_start, settings, traits.strengths
-        )
-        flight = self._flight(bodies, contacts, pairs, solution, self._rest.asleep | np.any(pushes.velocities, axis=1))
-        if self._looks_ahead:
-            self._taken = ByFragment(states.fragment_ids, solution.velocities - bodies.free_velocities)
-        return _Solved(
-            StepContacts(contacts, pairs, ahead, pairs_ahead), bodies, searched, solution, limits, flight, overloaded,
-            deepest_gap, pushes.energy,
-        )  # fmt: skip
+        plan, self._planned = self._planned, None
+        pushes = self._pushes(states) if plan is None else Pushes(plan.pushes.of(states.fragment_ids), plan.energy)
+        given = Given(states, StepContacts(contacts, pairs, ahead, pairs_ahead), traits, pushes.velocities, plan)
+        return given, deepest_gap, pushes.energy
 
-    def _move(self, states: BodyStates, solved: _Solved) -> float:
-        """Move the bodies as far as they may; returns the energy [J] that drift correction adds in lifting them."""
-        gravity, settings, time_step = self._scene.gravity, self._scene.solver, self._scene.time_step
-        (bodies, solution), forms = (solved.bodies, solved.solution), self._traits(states).forms
-        rates = (bodies.spans / time_step)[:, None]
-        moves = rates * (solution.velocities + solution.drift + solved.flight)
-        falls = rates * (bodies.free_velocities - bodies.velocities)[:, :3]
-        is_expected = self._expected.velocities.have(states.fragment_ids)
-        course = Course(moves, solved.searched, falls, is_expected)
-        self.shares = shares_of_step(states, solved.contacts, course, forms, settings, time_step)
-        moved = self.shares * bodies.spans
-        if (self.shares < 1.0).any():
-            solution = self._solved_until(moved, solved)
-        self._warm_start, v = solution.warm_start, solution.velocities
-        drift = self.shares[:, None] * moves - v
-        self._engine.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
-        farthest = sleep.farthest_at_rest(settings, forms.sizes[:-1], gravity)
-        self._rest = sleep.after_step(self._rest, states.masses, states.inertias, v + drift, farthest, time_step)
-        if self._looks_ahead:
-            self._remember_waiting(states, solved, moved)
-        return -float((states.masses * moved * dots(solved.solution.drift[:, :3], gravity)).sum())
-
-    def _remember_waiting(self, states: BodyStates, solved: _Solved, moved: np.ndarray) -> None:
-        """Keep what the next step needs to make up for this one, in which bodies moved for `moved` (n,) [s]."""
-        is_held = self.shares < 1.0
-        is_at_rest = (self._rest.quiet > 0.0) & ~is_held
-        lost = np.clip(self._lost.of(states.fragment_ids) + self._scene.time_step - moved, 0.0, None)
-        lost = np.where(is_at_rest, 0.0, np.minimum(lost, MOST_LOST * self._scene.time_step))
-        carried, self._carried = self._carried, None
-        self._lost, self._expected = ByFragment(states.fragment_ids, lost), NOTHING
-        if is_held.any() or lost.any():
-            is_round = self._traits(states).forms.is_round[:-1]
-            self._waited = Waited(states, solved.contacts, carried, is_round, is_held, is_at_rest, lost)
-
-    def _solved_until(self, moved: np.ndarray, solved: _Solved) -> Solution:
-        """The solution with gravity for the times `moved` (n,) [s] only: bodies that waited gain no energy by it."""
-        bodies, held = solved.bodies, moved < solved.bodies.spans
-        free = free_velocities(bodies.velocities, bodies.inertias, self._scene.gravity, moved)
-        alone = np.where(held[:, None], free, solved.solution.velocities)
-        again = Again(held, solved.limits, solved.solution._replace(velocities=alone))
-        return solve_contacts(
-            bodies._replace(free_velocities=free), solved.contacts.now, solved.contacts.pairs,
-            solved.solution.warm_start, self._scene.solver, again,
-        )  # fmt: skip
-
-    def _expect(self, states: BodyStates, waited: Waited) -> Expected:
-        """What is known of the coming step, after one in which bodies waited; see catching_up."""
-        settings, ids, time_step = self._scene.solver, states.fragment_ids, self._scene.time_step
-        contacts, pairs = self._carried = carried_contacts(waited, states, settings)
-        pushes = np.zeros((len(ids), 6)) if self._planned is None else self._planned.pushes.of(ids)
-        extra, is_expected = extra_times(waited, states, np.any(pushes, axis=1), self._carried, time_step)
-        bodies = self._rigid_bodies(states, pushes, time_step + extra, np.zeros(len(ids), bool))
-        still, zeros = np.zeros((len(ids), 6)), np.zeros(len(contacts.gaps))
-        nothing = Solution(bodies.free_velocities, still, zeros, zeros, self._warm_start)
-        again = Again(is_expected, np.full(len(zeros), np.inf), nothing)
-        roughly = settings._replace(accuracy=ROUGHLY, rounds=1)
-        solution = solve_contacts(bodies, contacts, pairs, self._warm_start, roughly, again)
-        return Expected(ByFragment(ids, extra), ByFragment(ids[is_expected], solution.velocities[is_expected]))
-
-    def _break_overloaded(self, states: BodyStates, moved: BodyStates, solved: _Solved) -> None:
-        """Break the overloaded fragments, those of `states` before the step; `moved`: after it."""
+    def _break_overloaded(self, given: Given, moved: BodyStates, solved: Solved) -> None:
+        """Break the overloaded fragments, those of the `given` states before the step; `moved`: after it."""
+        states, (contacts, pairs, *_) = given.states, given.contacts
         for i in solved.overloaded:
-            impact, load = hardest_hit(i, solved.contacts.now, solved.contacts.pairs, solved.solution)
+            impact, load = hardest_hit(i, contacts, pairs, solved.normal_impulses)
             fragment_id = int(states.fragment_ids[i])
             # The impact point in the pose before the step.
             impact = turned_back(states.frame_orientations[i], impact - states.frame_positions[i])
@@ -384,54 +267,9 @@ class Simulation:
     def _pushes(self, states: BodyStates) -> Pushes:
         return pushes_of(self._pushers, states, self.time, self._scene.time_step, self._scene.gravity)
 
-    def _to_search(self, states: BodyStates) -> BodyStates:
-        """`states` with the velocities of the coming step before contacts.
-
-        Otherwise the look-ahead would miss what a hand adds, the gyroscopic torque, which turns the axis of a fast
-        shard by a radian, and gravity, by which a body at rest beside a seam would fall into it. Bodies asleep do not
-        fall. After a step in which bodies waited, the contacts of some are expected too.
-        """
-        velocities, spans, ids = _velocities(states), self._spans(states), states.fragment_ids
-        if self._planned is not None:
-            velocities = velocities + self._planned.expected.of(ids)
-        free = free_velocities(velocities, states.inertias, self._scene.gravity, spans)
-        asleep = ByFragment(self._rest.fragment_ids, self._rest.asleep).of(ids)
-        linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
-        angular = mean_spins(velocities, free, states.inertias, spans)
-        known = self._expected.velocities
-        if len(known.fragment_ids):
-            moves, is_known = known.of(ids), known.have(ids)[:, None]
-            linear, angular = np.where(is_known, moves[:, :3], linear), np.where(is_known, moves[:, 3:], angular)
-        rates = (spans / self._scene.time_step)[:, None]
-        return states._replace(linear=rates * linear, angular=rates * angular)
-
     def _falling(self, frame: FrameState) -> FrameState:
         """The frame with the velocity that it will have: as _to_search, without the torque that needs its inertia."""
         return frame._replace(linear_velocity=frame.linear_velocity + self._scene.time_step * self._scene.gravity)
-
-    def _spans(self, states: BodyStates) -> np.ndarray:
-        """(n,) [s] for which bodies move in this step, if nothing holds them back."""
-        return self._scene.time_step + self._expected.extra.of(states.fragment_ids)
-
-    def _rigid_bodies(
-        self, states: BodyStates, pushes: np.ndarray, spans: np.ndarray, asleep: np.ndarray
-    ) -> RigidBodies:
-        velocities = _velocities(states) + pushes
-        free = free_velocities(velocities, states.inertias, self._scene.gravity, spans)
-        masses, inertias = states.masses, states.inertias
-        return RigidBodies(masses, inertias, states.centers, velocities, free, spans, asleep)
-
-    def _flight(
-        self, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, solution: Solution,
-        is_other: np.ndarray,
-    ) -> np.ndarray:  # fmt: skip
-        """flight_drift; is_other (n,) bool: are not in free flight."""
-        free = bodies.free_velocities
-        turned = mean_spins(bodies.velocities, free, bodies.inertias, bodies.spans) - free[:, 3:]
-        return flight_drift(
-            bodies, turned, self._scene.gravity, (solution.velocities, solution.normal_impulses), is_other,
-            (solution.pressing, contacts.pair_begin, pairs.body_a, pairs.body_b),
-        )  # fmt: skip
 
     def _body_pairs(self, shared: SharedTraits, rest_gaps: np.ndarray) -> BodyPairs:
         bounces = bounce_speeds(self._scene.solver, shared.sizes, self._scene.gravity)
@@ -457,11 +295,6 @@ class Simulation:
             return False
         self._sequence += 1
         self._events.append(event)
-        self._cast.replace(event, frame, self._engine)
+        self._cast.replace(event, frame, self.dynamics)
         self.drag.keep_hold(body_id, fragment_id)
         return True
-
-
-def _velocities(states: BodyStates) -> np.ndarray:
-    """Linear and angular velocities, (n, 6) [m/s, rad/s]."""
-    return np.hstack((states.linear, states.angular))

@@ -171,7 +171,7 @@ def course(bodies: list[dict[str, Any]], duration: float, gravity: float = 0.0, 
     rows = []
     with Lockstep(scene, Settings(threads=1, lookahead=step)) as run:
         for each in run:
-            states = run.simulation._engine.states()
+            states = run.simulation.dynamics.states()
             momenta = np.einsum("nij,nj->ni", states.inertias, states.angular)
             energy = each.report.kinetic_energy + each.report.potential_energy
             rows.append((states.centers, states.linear, momenta, energy))
@@ -214,7 +214,7 @@ def test_a_light_ball_between_heavy_ones_passes_on_what_it_would_after_all_bounc
     with Lockstep(scene, Settings(threads=1, lookahead=0.0025)) as run:
         for _ in run:
             pass
-        states = run.simulation._engine.states()
+        states = run.simulation.dynamics.states()
     right, masses = speeds.copy(), radii**3
     for turn in range(10_000):
         i = turn % 2

@@ -15,13 +15,13 @@ from fracture_collision.geometry.tetrahedra import unique_edges
 from fracture_collision.portable_math import dots, products, sine
 from fracture_collision.records import CollisionBody, ContactConstraintArray
 from fracture_collision.simulation.breakable_body import BreakableBody
-from fracture_collision.simulation.engine import RigidBodyWorld
+from fracture_collision.simulation.own_dynamics import OwnDynamics
 from fracture_collision.simulation.scene.scene import parse_scene
 from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.world import CollisionWorld, Settings
 
 
-class WatchedWorld(RigidBodyWorld):
+class WatchedDynamics(OwnDynamics):
     """Records its contents before and after its last step."""
 
     def advance(self, *velocities):
@@ -79,8 +79,8 @@ class Run:
     """A simulation with contacts that the test chooses; the service has the masses."""
 
     def __init__(self, scene, **more):
-        self.world = WatchedWorld(scene.time_step)
-        self.simulation = Simulation(scene, engine=self.world, **more)
+        self.world = WatchedDynamics(scene.time_step, scene.gravity, scene.solver)
+        self.simulation = Simulation(scene, dynamics=self.world, **more)
         self.service = CollisionWorld(Settings(threads=1))
         for body in self.simulation.start_bodies():
             self.service.add_body(body)

@@ -37,8 +37,8 @@ def boxes(scale: float, time_step: float, gravity: float, duration: float, **sto
 def course(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Centres of mass (steps, 3, 3) [m], and who is asleep at the end (3,)."""
     with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as run:
-        places = [run.simulation._engine.states().centers.copy() for _ in run]
-        return np.array(places), run.simulation._rest.asleep.copy()
+        places = [run.simulation.dynamics.states().centers.copy() for _ in run]
+        return np.array(places), run.simulation.dynamics._rest.asleep.copy()
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.4])

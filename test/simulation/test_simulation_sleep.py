@@ -35,7 +35,7 @@ def scene_of(*bodies: dict[str, Any], **more: Any) -> Scene:
 
 class Run(ServedScene):
     def asleep(self) -> int:
-        return int(self.simulation._rest.asleep.sum())
+        return int(self.simulation.dynamics._rest.asleep.sum())
 
     def until_asleep(self, count: int) -> None:
         for _ in range(2000):
@@ -121,9 +121,9 @@ def test_a_fracture_wakes_touching_bodies(run_of) -> None:
     run.until_asleep(4)
     assert run.simulation.strike(3, np.zeros(3), 2.0)
     run.step()
-    awake = run.simulation._rest.fragment_ids[~run.simulation._rest.asleep].tolist()
+    awake = run.simulation.dynamics._rest.fragment_ids[~run.simulation.dynamics._rest.asleep].tolist()
     assert {2, 4} < set(awake), "those below and above"
-    assert 5 not in awake and 3 not in run.simulation._rest.fragment_ids
+    assert 5 not in awake and 3 not in run.simulation.dynamics._rest.fragment_ids
 
 
 def test_slow_bodies_count_as_quiet() -> None:

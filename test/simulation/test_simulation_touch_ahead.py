@@ -228,7 +228,7 @@ def between_walls(speed: float, duration: float) -> Scene:
 def test_a_ball_between_walls_is_never_late_by_more_than_two_steps(speed: float) -> None:
     """And never early: its way to each touch is the same, with up to thirty touches."""
     with Lockstep(between_walls(speed, 2.2), Settings(threads=1, lookahead=STEP)) as run:
-        x = np.array([run.simulation._engine.states().centers[0, 0] for _ in run])
+        x = np.array([run.simulation.dynamics.states().centers[0, 0] for _ in run])
     flown = np.cumsum(np.abs(np.diff(x, prepend=0.0)))  # but for what turns within a step: it waits at walls
     due = speed * STEP * np.arange(1, len(x) + 1)
     touches = due[-1] / APART
@@ -240,11 +240,11 @@ def test_a_ball_between_walls_is_never_late_by_more_than_two_steps(speed: float)
 
 def test_the_only_body_may_leave_while_it_waits() -> None:
     with Lockstep(between_walls(3.0, 1.0), Settings(threads=1, lookahead=STEP)) as run:
-        while not (run.simulation.shares < 1.0).any():
+        while not (run.simulation.dynamics.shares < 1.0).any():
             run.step()
         run.simulation.take_out(3)
         run.step()
-        assert not len(run.simulation._engine.states().masses)
+        assert not len(run.simulation.dynamics.states().masses)
 
 
 def states(count: int, spins: list[float]) -> BodyStates:
@@ -307,10 +307,10 @@ def test_no_shard_floats() -> None:
     scene, floats, longest = load_scene("plates"), {}, 0
     with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as run:
         for _ in range(700):
-            answer, ids = run.step().contacts, run.simulation._engine.states().fragment_ids
+            answer, ids = run.step().contacts, run.simulation.dynamics.states().fragment_ids
             has_contacts = np.diff(answer.pair_begin) > 0
             touch = set(answer.fragment_a[has_contacts]) | set(answer.fragment_b[has_contacts])
-            shares = run.simulation.shares
+            shares = run.simulation.dynamics.shares
             held = set(ids[shares < 1.0]) - touch if len(shares) == len(ids) else set()
             floats = {i: floats.get(i, 0) + 1 for i in held}
             longest = max(longest, *floats.values(), 0)

@@ -77,7 +77,7 @@ def test_a_slab_on_an_invisibly_narrow_edge_falls():
         with Lockstep(scene._replace(solver=solver), SAMPLES) as run:
             for _ in range(100):
                 run.step()
-            states = run.simulation._engine.states()
+            states = run.simulation.dynamics.states()
             assert support_of(run, scene, hooks=False).unsupported == ([2] if floats else [])
             assert (states.linear[0, 2] < -1.5) != floats, states.linear
 
@@ -93,7 +93,7 @@ def test_a_body_falls_within_two_steps_when_its_support_is_removed():
         run.simulation.take_out(names["pedestal"])
         run.step()
         run.step()
-        states = run.simulation._engine.states()
+        states = run.simulation.dynamics.states()
         assert states.linear[0, 2] < -0.9 * TIME_STEP * 9.81
 
 
@@ -103,7 +103,7 @@ def test_the_linear_program_finds_floating_bodies(support, wall, falls):
     scene = stand(support, wall)
     with Lockstep(scene, Settings(threads=1)) as run:
         run.step()
-        engine = run.simulation._engine
+        engine = run.simulation.dynamics
         still = np.zeros((len(engine.states().masses), 3))
         engine.advance(still, still, still, still)
         block = max(i for i, body in run.simulation._cast.body_of.items() if body.name == "block")

@@ -53,11 +53,11 @@ def found_as_placed(*bodies: tuple[list[float], list[float]]) -> Verdict:
         told = run.simulation.start_bodies(), []
         for _ in range(2):  # they enter the engine in the first
             run.step()
-            places = run.simulation._engine.states()
+            places = run.simulation.dynamics.states()
         still = np.zeros((len(places.masses), 3))
         fallen = -places.centers + [place for _, place in bodies]
-        run.simulation._engine.advance(still, still, fallen / scene.time_step, still)
-        run.simulation._engine.advance(still, still, still, still)
+        run.simulation.dynamics.advance(still, still, fallen / scene.time_step, still)
+        run.simulation.dynamics.advance(still, still, still, still)
         return verdict(run, scene, told, np.zeros(0, int))
 
 
@@ -100,9 +100,9 @@ def test_what_is_pushed_out_of_something_is_not_at_rest() -> None:
     scene = scene_with(STANDING, (CUBE, [0.0, 0.0, 1.5 * SIDE - 0.003]))
     with Lockstep(scene, SETTINGS) as run:
         for _ in range(3):
-            before = run.simulation._engine.states()
+            before = run.simulation.dynamics.states()
             run.step()
-        now = run.simulation._engine.states()
+        now = run.simulation.dynamics.states()
     assert np.abs(now.linear).max() < SPEED_AT_REST
     assert moved(before, now, scene.time_step).tolist() == [3]
 
@@ -113,7 +113,7 @@ def test_energy_from_nowhere_is_found() -> None:
         watch = EnergyWatch(run, scene)
         for step in range(20):
             if step == 10:
-                engine = run.simulation._engine
+                engine = run.simulation.dynamics
                 states = engine.states()
                 still = np.zeros((1, 3))
                 before = 0.5 * states.masses[0] * (states.linear**2).sum()

@@ -118,7 +118,7 @@ def support_of(run, scene, hooks: bool = True) -> Support:
         _without_hooks(asked_with(run.world, each, contacts_per_pair=ROOM, detection_tolerance=reach), boxes)
         for each in (states, *_trembling(states))
     ]
-    bodies = run.simulation._engine.states()
+    bodies = run.simulation.dynamics.states()
     rolling = {body_id: body.material.rolling_arm for body_id, body in run.simulation._cast.body_of.items()}
     of = dict(zip(registry.fragment_ids.tolist(), registry.body_ids.tolist(), strict=True))
     size = np.sqrt(np.trace(bodies.inertias, axis1=1, axis2=2) / bodies.masses)

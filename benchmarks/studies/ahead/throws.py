@@ -29,7 +29,8 @@ from benchmarks.studies.pictures import BLUE, ORANGE, RED, finish, new_figure
 from benchmarks.studies.study import Study, Trial
 from benchmarks.studies.table import Row, Table, markdown_table, number
 from fracture_collision.records import FragmentStates
-from fracture_collision.simulation.engine import BodyStates, RigidBodyWorld
+from fracture_collision.simulation.engine import BodyStates
+from fracture_collision.simulation.own_dynamics import OwnDynamics
 from fracture_collision.simulation.scene.scene import Scene, parse_scene
 from fracture_collision.simulation.simulation import Simulation
 from fracture_collision.world import CollisionWorld, Settings
@@ -73,11 +74,11 @@ class Throw(NamedTuple):
     energy_gain: float  # in any step, as a share of the initial energy
 
 
-class _Engine(RigidBodyWorld):
+class _Dynamics(OwnDynamics):
     """Records how bodies move within each step."""
 
-    def __init__(self, time_step: float) -> None:
-        super().__init__(time_step)
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene.time_step, scene.gravity, scene.solver, looks_ahead=True)
         self.moves: tuple[BodyStates, np.ndarray, np.ndarray] | None = None
 
     def advance(self, linear, angular, drift_linear, drift_angular) -> None:
@@ -187,7 +188,7 @@ _NO_CONTACTS = CollisionWorld(Settings(threads=1)).contacts(
 
 def _run(scene: Scene, target: str, world: CollisionWorld, is_told: bool) -> Iterator[Step]:
     """The scene's steps, `is_told`: the simulation gets the world's contacts. A heap breaks after the first step."""
-    engine = _Engine(scene.time_step)
+    engine = _Dynamics(scene)
     simulation = Simulation(scene, None, engine, looks_ahead=True)
     for body in simulation.start_bodies():
         world.add_body(body)
@@ -206,7 +207,7 @@ def _run(scene: Scene, target: str, world: CollisionWorld, is_told: bool) -> Ite
         report = simulation.finish_step(answer, world.fragments())
         if target == "heap" and states.step == 0:
             simulation.strike(TARGET_ID, np.zeros(3), OVERLOAD)
-        shares = simulation.shares
+        shares = engine.shares
         linear, angular = (moves / np.maximum(shares, TINY)[:, None] for moves in engine.moves[1:])
         yield Step(states, scene.time_step, engine.moves[0], linear, angular, shares, report.kinetic_energy)
     simulation.close()

@@ -288,11 +288,10 @@ def solve_with_strengths(
 
 
 def hardest_hit(
-    row: int, contacts: ContactConstraintArray, pairs: BodyPairs, solution: Solution
+    row: int, contacts: ContactConstraintArray, pairs: BodyPairs, impulses: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Impact point (world, [m]) and impulse [N s] of the neighbour that hit a body hardest."""
+    """Impact point (world, [m]) and impulse [N s] of the neighbour that hit a body hardest; impulses (N,) [N s]."""
     begin = contacts.pair_begin.astype(np.int64)
-    impulses = solution.normal_impulses
     best, best_load = -1, -1.0
     for pair in np.flatnonzero((pairs.body_a == row) | (pairs.body_b == row)).tolist():
         load = float(impulses[begin[pair] : begin[pair + 1]].sum())

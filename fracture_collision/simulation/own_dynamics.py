@@ -1,0 +1,207 @@
+"""The package's own engine: contact solver, sleeping, and touches within a step. The same bytes on every processor.
+
+One step: contacts are solved for the velocities at its end, gravity included (`solver/contact_solver`). Bodies move as
+far as they touch nothing ahead (`solver/touch_ahead`), and make up for lost time later (`catching_up`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.portable_math import dots
+from fracture_collision.simulation.catching_up import (
+    MOST_LOST,
+    NOTHING,
+    ROUGHLY,
+    Expected,
+    Touching,
+    Waited,
+    carried_contacts,
+    extra_times,
+)
+from fracture_collision.simulation.dynamics import Given, Solved
+from fracture_collision.simulation.engine import (
+    BodyStates,
+    ByFragment,
+    Planned,
+    RigidBodyWorld,
+    free_velocities,
+    mean_spins,
+)
+from fracture_collision.simulation.solver import sleep
+from fracture_collision.simulation.solver.contact_solver import (
+    Again,
+    RigidBodies,
+    Solution,
+    SolverSettings,
+    flight_drift,
+    solve_contacts,
+    solve_with_strengths,
+)
+from fracture_collision.simulation.solver.touch_ahead import Course, shares_of_step
+from fracture_collision.simulation.solver.warm_start import NO_WARM_START
+
+
+class _Step(NamedTuple):
+    """The step between `solve` and `move`."""
+
+    given: Given
+    bodies: RigidBodies  # with gravity for the time in which they move if nothing holds them back
+    searched: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
+    solution: Solution
+    limits: np.ndarray  # (N,) [N s] of the contacts' impulses: what materials bear
+    flight: np.ndarray  # (n, 6) drift of bodies in free flight
+
+
+class OwnDynamics(RigidBodyWorld):
+    """A Dynamics. looks_ahead: the contacts come from a service that looks a step ahead, see touch_ahead.
+
+    gravity (3,) [m/s2]; time_step [s].
+    """
+
+    def __init__(
+        self, time_step: float, gravity: np.ndarray, settings: SolverSettings, looks_ahead: bool = False
+    ) -> None:
+        super().__init__(time_step)
+        self._gravity, self._settings, self._looks_ahead = gravity, settings, looks_ahead
+        self._warm_start = NO_WARM_START
+        self._rest = sleep.NOBODY
+        self._touched = NO_WARM_START.fragment_a, NO_WARM_START.fragment_b  # pairs of the last step
+        self._searched: tuple[BodyStates, BodyStates] | None = None  # as they are, and as they are searched
+        self._step: _Step | None = None
+        self.shares = np.ones(0)  # of their courses in the last step, for which bodies moved: see touch_ahead
+        self._waited: Waited | None = None  # the last step, if the next one has to make up for it
+        self._lost = NOTHING.extra  # (n,) [s] that bodies are behind
+        self._expected = NOTHING  # of this step
+        self._carried: Touching | None = None  # to this step, from the last one that had to be made up for
+
+    def begin(self, planned: Planned | None) -> BodyStates:
+        """As in Dynamics."""
+        states = self.states()
+        if self._waited is not None:
+            # of nothing, if all bodies have left or broken
+            self._expected = self._expect(states, self._waited, planned) if len(states.masses) else NOTHING
+            self._waited = None
+        searched = self._to_search(states, planned)
+        self._searched = states, searched
+        return searched
+
+    def solve(self, given: Given) -> Solved:
+        """As in Dynamics."""
+        states, settings, (contacts, pairs, *_) = given.states, self._settings, given.contacts
+        searched = None
+        if self._looks_ahead:  # with the bodies of the request, or with more that had waited for the registry
+            if self._searched is None or self._searched[0] is not states:
+                self._searched = states, self._to_search(states, given.planned)
+            searched = self._searched[1].velocities()
+        is_pushed = np.any(given.pushes, axis=1)
+        rest = sleep.roused(self._rest, states.fragment_ids, self._touched, is_pushed)
+        self._rest = sleep.settled(rest, contacts.pair_begin, pairs.body_a, pairs.body_b, settings.sleep_time)
+        self._touched = contacts.fragment_a, contacts.fragment_b
+        bodies = self._rigid_bodies(states, given.pushes, self._spans(states), self._rest.asleep)
+        solution, overloaded, limits = solve_with_strengths(
+            bodies, contacts, pairs, self._warm_start, settings, given.traits.strengths
+        )
+        free = bodies.free_velocities
+        turned = mean_spins(bodies.velocities, free, bodies.inertias, bodies.spans) - free[:, 3:]
+        flight = flight_drift(
+            bodies, turned, self._gravity, (solution.velocities, solution.normal_impulses),
+            self._rest.asleep | is_pushed, (solution.pressing, contacts.pair_begin, pairs.body_a, pairs.body_b),
+        )  # fmt: skip
+        self._step = _Step(given, bodies, searched, solution, limits, flight)
+        return Solved(solution.normal_impulses, overloaded, solution.velocities - bodies.free_velocities)
+
+    def move(self) -> float:
+        """As in Dynamics: drift correction adds energy where it lifts bodies."""
+        assert self._step is not None
+        (given, bodies, searched, solution, limits, flight), self._step = self._step, None
+        states, forms, settings, time_step = given.states, given.traits.forms, self._settings, self._time_step
+        rates = (bodies.spans / time_step)[:, None]
+        moves = rates * (solution.velocities + solution.drift + flight)
+        falls = rates * (bodies.free_velocities - bodies.velocities)[:, :3]
+        is_expected = self._expected.velocities.have(states.fragment_ids)
+        course = Course(moves, searched, falls, is_expected)
+        self.shares = shares_of_step(states, given.contacts, course, forms, settings, time_step)
+        moved, drifting = self.shares * bodies.spans, solution.drift
+        if (self.shares < 1.0).any():
+            solution = self._solved_until(moved, given, bodies, solution, limits)
+        self._warm_start, v = solution.warm_start, solution.velocities
+        drift = self.shares[:, None] * moves - v
+        self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
+        farthest = sleep.farthest_at_rest(settings, forms.sizes[:-1], self._gravity)
+        self._rest = sleep.after_step(self._rest, states.masses, states.inertias, v + drift, farthest, time_step)
+        if self._looks_ahead:
+            self._remember_waiting(given, moved)
+        return -float((states.masses * moved * dots(drifting[:, :3], self._gravity)).sum())
+
+    def _remember_waiting(self, given: Given, moved: np.ndarray) -> None:
+        """Keep what the next step needs to make up for this one, in which bodies moved for `moved` (n,) [s]."""
+        states, time_step = given.states, self._time_step
+        is_held = self.shares < 1.0
+        is_at_rest = (self._rest.quiet > 0.0) & ~is_held
+        lost = np.clip(self._lost.of(states.fragment_ids) + time_step - moved, 0.0, None)
+        lost = np.where(is_at_rest, 0.0, np.minimum(lost, MOST_LOST * time_step))
+        carried, self._carried = self._carried, None
+        self._lost, self._expected = ByFragment(states.fragment_ids, lost), NOTHING
+        if is_held.any() or lost.any():
+            is_round = given.traits.forms.is_round[:-1]
+            self._waited = Waited(states, given.contacts, carried, is_round, is_held, is_at_rest, lost)
+
+    def _solved_until(
+        self, moved: np.ndarray, given: Given, bodies: RigidBodies, solution: Solution, limits: np.ndarray
+    ) -> Solution:
+        """The solution with gravity for the times `moved` (n,) [s] only: bodies that waited gain no energy by it."""
+        held, (now, pairs, *_) = moved < bodies.spans, given.contacts
+        free = free_velocities(bodies.velocities, bodies.inertias, self._gravity, moved)
+        alone = np.where(held[:, None], free, solution.velocities)
+        again = Again(held, limits, solution._replace(velocities=alone))
+        until = bodies._replace(free_velocities=free)
+        return solve_contacts(until, now, pairs, solution.warm_start, self._settings, again)
+
+    def _expect(self, states: BodyStates, waited: Waited, planned: Planned | None) -> Expected:
+        """What is known of the coming step, after one in which bodies waited; see catching_up."""
+        settings, ids, time_step = self._settings, states.fragment_ids, self._time_step
+        contacts, pairs = self._carried = carried_contacts(waited, states, settings)
+        pushes = np.zeros((len(ids), 6)) if planned is None else planned.pushes.of(ids)
+        extra, is_expected = extra_times(waited, states, np.any(pushes, axis=1), self._carried, time_step)
+        bodies = self._rigid_bodies(states, pushes, time_step + extra, np.zeros(len(ids), bool))
+        still, zeros = np.zeros((len(ids), 6)), np.zeros(len(contacts.gaps))
+        nothing = Solution(bodies.free_velocities, still, zeros, zeros, self._warm_start)
+        again = Again(is_expected, np.full(len(zeros), np.inf), nothing)
+        roughly = settings._replace(accuracy=ROUGHLY, rounds=1)
+        solution = solve_contacts(bodies, contacts, pairs, self._warm_start, roughly, again)
+        return Expected(ByFragment(ids, extra), ByFragment(ids[is_expected], solution.velocities[is_expected]))
+
+    def _to_search(self, states: BodyStates, planned: Planned | None) -> BodyStates:
+        """`states` with the velocities of the coming step before contacts.
+
+        Otherwise the look-ahead would miss what a hand adds, the gyroscopic torque, which turns the axis of a fast
+        shard by a radian, and gravity, by which a body at rest beside a seam would fall into it. Bodies asleep do not
+        fall. After a step in which bodies waited, the contacts of some are expected too.
+        """
+        velocities, spans, ids = states.velocities(), self._spans(states), states.fragment_ids
+        if planned is not None:
+            velocities = velocities + planned.expected.of(ids)
+        free = free_velocities(velocities, states.inertias, self._gravity, spans)
+        asleep = ByFragment(self._rest.fragment_ids, self._rest.asleep).of(ids)
+        linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
+        angular = mean_spins(velocities, free, states.inertias, spans)
+        known = self._expected.velocities
+        if len(known.fragment_ids):
+            moves, is_known = known.of(ids), known.have(ids)[:, None]
+            linear, angular = np.where(is_known, moves[:, :3], linear), np.where(is_known, moves[:, 3:], angular)
+        rates = (spans / self._time_step)[:, None]
+        return states._replace(linear=rates * linear, angular=rates * angular)
+
+    def _spans(self, states: BodyStates) -> np.ndarray:
+        """(n,) [s] for which bodies move in this step, if nothing holds them back."""
+        return self._time_step + self._expected.extra.of(states.fragment_ids)
+
+    def _rigid_bodies(
+        self, states: BodyStates, pushes: np.ndarray, spans: np.ndarray, asleep: np.ndarray
+    ) -> RigidBodies:
+        velocities = states.velocities() + pushes
+        free = free_velocities(velocities, states.inertias, self._gravity, spans)
+        return RigidBodies(states.masses, states.inertias, states.centers, velocities, free, spans, asleep)
