@@ -15,7 +15,18 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fracture_collision.simulation.cast import Traits
-from fracture_collision.simulation.engine import BodyStates, FrameState, MassProperties, Planned
+from fracture_collision.simulation.engine import (
+    BodyStates,
+    ByFragment,
+    FrameState,
+    MassProperties,
+    Planned,
+    RigidBodyWorld,
+    free_velocities,
+    mean_spins,
+)
+from fracture_collision.simulation.solver import sleep
+from fracture_collision.simulation.solver.contact_solver import RigidBodies, Solution, SolverSettings, flight_drift
 from fracture_collision.simulation.solver.touch_ahead import StepContacts
 
 
@@ -63,3 +74,61 @@ class Dynamics(Protocol):
 
     def close(self) -> None:
         """Release resources."""
+
+
+class SleepingWorld(RigidBodyWorld):
+    """Rigid bodies under gravity (3,) [m/s2], whose islands fall asleep: what the engines have in common."""
+
+    def __init__(self, time_step: float, gravity: np.ndarray, settings: SolverSettings) -> None:
+        super().__init__(time_step)
+        self._gravity, self._settings = gravity, settings
+        self._rest = sleep.NOBODY
+        self._touched = np.zeros(0, np.uint32), np.zeros(0, np.uint32)  # pairs of the last step
+
+    def _settle(self, given: Given) -> None:
+        """Wake and lull islands, by the contacts of a step."""
+        contacts, pairs, *_ = given.contacts
+        is_pushed = np.any(given.pushes, axis=1)
+        rest = sleep.roused(self._rest, given.states.fragment_ids, self._touched, is_pushed)
+        time = self._settings.sleep_time
+        self._rest = sleep.settled(rest, contacts.pair_begin, pairs.body_a, pairs.body_b, time)
+        self._touched = contacts.fragment_a, contacts.fragment_b
+
+    def _rest_after(self, given: Given, moves: np.ndarray) -> None:
+        """`moves` (n, 6) [m/s, rad/s]: velocities that moved the poses in a step."""
+        states, sizes = given.states, given.traits.forms.sizes[:-1]
+        farthest = sleep.farthest_at_rest(self._settings, sizes, self._gravity)
+        self._rest = sleep.after_step(self._rest, states.masses, states.inertias, moves, farthest, self._time_step)
+
+    def _before_contacts(self, states: BodyStates, planned: Planned | None, spans: np.ndarray) -> BodyStates:
+        """`states` with the velocities of a step of `spans` (n,) [s] before contacts.
+
+        Otherwise the look-ahead would miss what a hand adds, the gyroscopic torque, which turns the axis of a fast
+        shard by a radian, and gravity, by which a body at rest beside a seam would fall into it. Bodies asleep do not
+        fall.
+        """
+        velocities, ids = states.velocities(), states.fragment_ids
+        if planned is not None:
+            velocities = velocities + planned.expected.of(ids)
+        free = free_velocities(velocities, states.inertias, self._gravity, spans)
+        asleep = ByFragment(self._rest.fragment_ids, self._rest.asleep).of(ids)
+        linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
+        return states._replace(linear=linear, angular=mean_spins(velocities, free, states.inertias, spans))
+
+    def _rigid_bodies(
+        self, states: BodyStates, pushes: np.ndarray, spans: np.ndarray, asleep: np.ndarray
+    ) -> RigidBodies:
+        velocities = states.velocities() + pushes
+        free = free_velocities(velocities, states.inertias, self._gravity, spans)
+        return RigidBodies(states.masses, states.inertias, states.centers, velocities, free, spans, asleep)
+
+    def _flight(self, given: Given, bodies: RigidBodies, solution: Solution) -> np.ndarray:
+        """flight_drift (n, 6) of what is awake and not pushed."""
+        contacts, pairs, *_ = given.contacts
+        free = bodies.free_velocities
+        turned = mean_spins(bodies.velocities, free, bodies.inertias, bodies.spans) - free[:, 3:]
+        return flight_drift(
+            bodies, turned, self._gravity, (solution.velocities, solution.normal_impulses),
+            bodies.asleep | np.any(given.pushes, axis=1),
+            (solution.pressing, contacts.pair_begin, pairs.body_a, pairs.body_b),
+        )  # fmt: skip

@@ -21,22 +21,13 @@ from fracture_collision.simulation.catching_up import (
     carried_contacts,
     extra_times,
 )
-from fracture_collision.simulation.dynamics import Given, Solved
-from fracture_collision.simulation.engine import (
-    BodyStates,
-    ByFragment,
-    Planned,
-    RigidBodyWorld,
-    free_velocities,
-    mean_spins,
-)
-from fracture_collision.simulation.solver import sleep
+from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved
+from fracture_collision.simulation.engine import BodyStates, ByFragment, Planned, free_velocities
 from fracture_collision.simulation.solver.contact_solver import (
     Again,
     RigidBodies,
     Solution,
     SolverSettings,
-    flight_drift,
     solve_contacts,
     solve_with_strengths,
 )
@@ -55,7 +46,7 @@ class _Step(NamedTuple):
     flight: np.ndarray  # (n, 6) drift of bodies in free flight
 
 
-class OwnDynamics(RigidBodyWorld):
+class OwnDynamics(SleepingWorld):
     """A Dynamics. looks_ahead: the contacts come from a service that looks a step ahead, see touch_ahead.
 
     gravity (3,) [m/s2]; time_step [s].
@@ -64,11 +55,9 @@ class OwnDynamics(RigidBodyWorld):
     def __init__(
         self, time_step: float, gravity: np.ndarray, settings: SolverSettings, looks_ahead: bool = False
     ) -> None:
-        super().__init__(time_step)
-        self._gravity, self._settings, self._looks_ahead = gravity, settings, looks_ahead
+        super().__init__(time_step, gravity, settings)
+        self._looks_ahead = looks_ahead
         self._warm_start = NO_WARM_START
-        self._rest = sleep.NOBODY
-        self._touched = NO_WARM_START.fragment_a, NO_WARM_START.fragment_b  # pairs of the last step
         self._searched: tuple[BodyStates, BodyStates] | None = None  # as they are, and as they are searched
         self._step: _Step | None = None
         self.shares = np.ones(0)  # of their courses in the last step, for which bodies moved: see touch_ahead
@@ -96,20 +85,12 @@ class OwnDynamics(RigidBodyWorld):
             if self._searched is None or self._searched[0] is not states:
                 self._searched = states, self._to_search(states, given.planned)
             searched = self._searched[1].velocities()
-        is_pushed = np.any(given.pushes, axis=1)
-        rest = sleep.roused(self._rest, states.fragment_ids, self._touched, is_pushed)
-        self._rest = sleep.settled(rest, contacts.pair_begin, pairs.body_a, pairs.body_b, settings.sleep_time)
-        self._touched = contacts.fragment_a, contacts.fragment_b
+        self._settle(given)
         bodies = self._rigid_bodies(states, given.pushes, self._spans(states), self._rest.asleep)
         solution, overloaded, limits = solve_with_strengths(
             bodies, contacts, pairs, self._warm_start, settings, given.traits.strengths
         )
-        free = bodies.free_velocities
-        turned = mean_spins(bodies.velocities, free, bodies.inertias, bodies.spans) - free[:, 3:]
-        flight = flight_drift(
-            bodies, turned, self._gravity, (solution.velocities, solution.normal_impulses),
-            self._rest.asleep | is_pushed, (solution.pressing, contacts.pair_begin, pairs.body_a, pairs.body_b),
-        )  # fmt: skip
+        flight = self._flight(given, bodies, solution)
         self._step = _Step(given, bodies, searched, solution, limits, flight)
         return Solved(solution.normal_impulses, overloaded, solution.velocities - bodies.free_velocities)
 
@@ -130,8 +111,7 @@ class OwnDynamics(RigidBodyWorld):
         self._warm_start, v = solution.warm_start, solution.velocities
         drift = self.shares[:, None] * moves - v
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
-        farthest = sleep.farthest_at_rest(settings, forms.sizes[:-1], self._gravity)
-        self._rest = sleep.after_step(self._rest, states.masses, states.inertias, v + drift, farthest, time_step)
+        self._rest_after(given, v + drift)
         if self._looks_ahead:
             self._remember_waiting(given, moved)
         return -float((states.masses * moved * dots(drifting[:, :3], self._gravity)).sum())
@@ -175,20 +155,10 @@ class OwnDynamics(RigidBodyWorld):
         return Expected(ByFragment(ids, extra), ByFragment(ids[is_expected], solution.velocities[is_expected]))
 
     def _to_search(self, states: BodyStates, planned: Planned | None) -> BodyStates:
-        """`states` with the velocities of the coming step before contacts.
-
-        Otherwise the look-ahead would miss what a hand adds, the gyroscopic torque, which turns the axis of a fast
-        shard by a radian, and gravity, by which a body at rest beside a seam would fall into it. Bodies asleep do not
-        fall. After a step in which bodies waited, the contacts of some are expected too.
-        """
-        velocities, spans, ids = states.velocities(), self._spans(states), states.fragment_ids
-        if planned is not None:
-            velocities = velocities + planned.expected.of(ids)
-        free = free_velocities(velocities, states.inertias, self._gravity, spans)
-        asleep = ByFragment(self._rest.fragment_ids, self._rest.asleep).of(ids)
-        linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
-        angular = mean_spins(velocities, free, states.inertias, spans)
-        known = self._expected.velocities
+        """_before_contacts. After a step in which bodies waited, the contacts of some are expected too."""
+        spans, ids, known = self._spans(states), states.fragment_ids, self._expected.velocities
+        states = self._before_contacts(states, planned, spans)
+        linear, angular = states.linear, states.angular
         if len(known.fragment_ids):
             moves, is_known = known.of(ids), known.have(ids)[:, None]
             linear, angular = np.where(is_known, moves[:, :3], linear), np.where(is_known, moves[:, 3:], angular)
@@ -198,10 +168,3 @@ class OwnDynamics(RigidBodyWorld):
     def _spans(self, states: BodyStates) -> np.ndarray:
         """(n,) [s] for which bodies move in this step, if nothing holds them back."""
         return self._time_step + self._expected.extra.of(states.fragment_ids)
-
-    def _rigid_bodies(
-        self, states: BodyStates, pushes: np.ndarray, spans: np.ndarray, asleep: np.ndarray
-    ) -> RigidBodies:
-        velocities = states.velocities() + pushes
-        free = free_velocities(velocities, states.inertias, self._gravity, spans)
-        return RigidBodies(states.masses, states.inertias, states.centers, velocities, free, spans, asleep)
