@@ -32,7 +32,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
 setup(
     data_files=shared_files(),
     extras_require={
-        **{name: requirements(f"{name}.in") for name in ("cli", "bags", "viewer", "meshing", "mesher")},
+        **{name: requirements(f"{name}.in") for name in ("cli", "bags", "viewer", "meshing", "mesher", "mujoco", "bullet")},
         "ros": [
             *requirements("ros.in"), *requirements("nodes.in"),
             MESSAGES if FOR_RELEASE else f"{MESSAGES} @ {(ROOT / 'messages').as_uri()}",

@@ -18,6 +18,8 @@ EXTRAS = {
         "viser": "viser", "websockets": "websockets",
     },
     "meshing": {"trimesh": "trimesh", "scipy": "scipy", "meshio": "meshio"},
+    "mujoco": {"mujoco": "mujoco-core"},
+    "bullet": {"pybullet": "pybullet"},
 }  # fmt: skip
 
 

@@ -136,6 +136,7 @@ class SceneRun:
         movable = [fragment for fragment in pieces if not self.film.bodies[self.film.body_of[fragment]].is_static]
         return {
             "scene": self.scene.name,
+            "engine": self.scene.engine,
             "seed": self.seed,
             "settings": values_of(self.settings),
             "seconds": self._seconds,

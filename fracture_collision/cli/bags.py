@@ -22,6 +22,7 @@ Examples:
 @click.argument("name")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the bag; must not exist yet.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the fracture patterns.  [default: the scene's own]")
+@click.option("--engine", help="What solves contacts and moves bodies: own, or mujoco.  [default: the scene's]")
 @click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0: flat; 0.25: as in porcelain.")
 @click.option(
     "--settings", multiple=True, metavar="NAME=VALUE[,...]",
@@ -30,8 +31,8 @@ Examples:
 @click.option("--steps", type=click.IntRange(min=1), help="Number of steps.  [default: the scene's duration]")
 @click.option("--every", type=click.IntRange(min=1), default=1, show_default=True, help="Record every N-th step.")
 def record(
-    name: str, out: Path, seed: int | None, curvature: float | None, settings: tuple[str, ...], steps: int | None,
-    every: int,
+    name: str, out: Path, seed: int | None, engine: str | None, curvature: float | None, settings: tuple[str, ...],
+    steps: int | None, every: int,
 ) -> None:  # fmt: skip
     """Run the scene NAME without DDS and record it.
 
@@ -41,19 +42,20 @@ def record(
     console = Console()
     interruption = Interruption(console, "stopped")
     from fracture_collision.cli.scene import parse_settings
+    from fracture_collision.extras import MissingExtra
     from fracture_collision.ros.runs.scene_recording import Selection, record_scene
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
-    from fracture_collision.simulation.scene.scene_changes import with_curvature
+    from fracture_collision.simulation.scene.scene_changes import with_curvature, with_engine
     from fracture_collision.world.settings import for_step
 
     try:
-        scene = load_scene(name)
+        scene = with_engine(load_scene(name), engine)
         chosen = for_step(scene.time_step, parse_settings(settings))
         if curvature is not None:
             scene = with_curvature(scene, curvature)
         if out.exists():
             raise BadInput(f"{out} exists already; pass the name of a new folder")
-    except (SceneError, ValueError) as error:
+    except (SceneError, ValueError, MissingExtra) as error:
         raise BadInput(str(error)) from error
     try:
         total = scene.step_count if steps is None else min(steps, scene.step_count)

@@ -41,7 +41,10 @@ On the page:
     "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("out/play"), show_default=True,
     help="Folder for recordings, uploads and logs.",
 )  # fmt: skip
-def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: Path) -> None:
+@click.option("--engine", help="What solves contacts and moves bodies: own, or mujoco.  [default: the scene's]")
+def play(
+    scene: str, seed: int | None, host: str, port: int, opens: bool, out: Path, engine: str | None
+) -> None:  # fmt: skip
     """Smash a scene yourself, in the browser.
 
     Starts collision_node, live_simulator_node and the page as processes that communicate over DDS on this machine only,
@@ -50,6 +53,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
     """
     console = Console()
     # Imported late: --help should not wait for ROS.
+    from fracture_collision.extras import MissingExtra
     from fracture_collision.ros.runs.play_run import PlayFailed, played
     from fracture_collision.ros.runs.run_domain import DomainTaken
     from fracture_collision.simulation.config.scene_fields import SceneError
@@ -58,7 +62,9 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
     cold = cache_is_cold()
     try:
         interrupt_on_signals()
-        with console.status("starting the nodes"), played(scene, -1 if seed is None else seed, out, host, port) as run:
+        with console.status("starting the nodes"), played(
+            scene, -1 if seed is None else seed, out, host, port, engine or ""
+        ) as run:  # fmt: skip
             console.print(
                 Panel(
                     f"[bold]{run.address}[/bold]\n\nROS_DOMAIN_ID={run.domain_id}; Ctrl-C ends all nodes",
@@ -72,7 +78,7 @@ def play(scene: str, seed: int | None, host: str, port: int, opens: bool, out: P
             while True:
                 run.check()
                 time.sleep(LOOK)
-    except SceneError as error:
+    except (SceneError, MissingExtra) as error:
         raise BadInput(str(error)) from error
     except (PlayFailed, DomainTaken, OSError) as error:
         raise click.ClickException(str(error)) from error

@@ -32,6 +32,7 @@ class RunOptions(NamedTuple):
     """What is varied of a scene and of the service."""
 
     seed: int | None  # None: the scene's own
+    engine: str | None  # None: the scene's own
     curvature: float | None  # of all cracks; None: as in the scene
     settings: tuple[str, ...]  # NAME=VALUE[,...]
     threads: int
@@ -44,6 +45,7 @@ class RunOptions(NamedTuple):
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.  [default: out/NAME]"
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the fracture patterns.  [default: the scene's own]")
+@click.option("--engine", help="What solves contacts and moves bodies: own, or mujoco.  [default: the scene's]")
 @click.option("--curvature", type=click.FloatRange(min=0.0), help="Of all cracks: 0: flat; 0.25: as in porcelain.")
 @click.option(
     "--settings", multiple=True, metavar="NAME=VALUE[,...]",
@@ -74,13 +76,14 @@ def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, op
     console = Console()
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for numba and matplotlib.
+    from fracture_collision.extras import MissingExtra
     from fracture_collision.scene_run import SceneRun
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
-    from fracture_collision.simulation.scene.scene_changes import with_curvature
+    from fracture_collision.simulation.scene.scene_changes import with_curvature, with_engine
     from fracture_collision.world.settings import for_step
 
     try:
-        what = load_scene(name)
+        what = with_engine(load_scene(name), options.engine)
         chosen = for_step(what.time_step, parse_settings(options.settings) | {"threads": options.threads})
         if options.curvature is not None:
             what = with_curvature(what, options.curvature)
@@ -89,7 +92,7 @@ def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, op
         out = Path("out", what.name.replace(":", "_")) if out is None else out
         with NewOutputs(out, RESULTS):  # fails before the run if it cannot be written
             pass
-    except (SceneError, ValueError) as error:
+    except (SceneError, ValueError, MissingExtra) as error:
         raise BadInput(str(error)) from error
     except OSError as error:
         raise click.ClickException(str(error)) from error

@@ -37,7 +37,8 @@ RESULTS = ("bag", "film_strip.png", "times.png", "report.json", "logs", OWN_SCEN
     help="Folder for the results; those of an earlier run are replaced once this one has answered a step.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the fracture patterns.  [default: the scene's own]")
-def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | None) -> None:
+@click.option("--engine", help="What solves contacts and moves bodies: own, or mujoco.  [default: the scene's]")
+def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | None, engine: str | None) -> None:
     """Run a scene over ROS 2 and record it.
 
     Starts collision_node, simulator_node and a recorder as processes that communicate over DDS on this machine only,
@@ -54,10 +55,12 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     console = Console()
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for ROS, numba and matplotlib.
+    from fracture_collision.extras import MissingExtra
     from fracture_collision.process.outputs import NewOutputs
     from fracture_collision.ros.runs.run_domain import DomainTaken
     from fracture_collision.ros.runs.smash_run import Progress, RunFailed, run_scene
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
+    from fracture_collision.simulation.scene.scene_changes import with_engine
     from fracture_collision.viewer.film.film import render_film_strip
     from fracture_collision.viewer.film.times_plot import plot_times
 
@@ -68,8 +71,8 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     new = NewOutputs(out, RESULTS)
     try:
         if filled is None:
-            load_scene(scene)
-    except SceneError as error:
+            with_engine(load_scene(scene), engine)
+    except (SceneError, MissingExtra) as error:
         raise BadInput(str(error)) from error
     try:
         with interruption.held(), new:
@@ -83,7 +86,7 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
                     interruption.check()
                     bar.show(*at)
 
-                report = run_scene(scene, seed, new.folder, progress)
+                report = run_scene(scene, seed, new.folder, progress, engine)
             report["scene"] = scene.replace(str(new.folder), str(out))
             (new.folder / "report.json").write_text(json.dumps(report, indent=1))
             print_report(console, f"{report['scene']}: statistics", report)

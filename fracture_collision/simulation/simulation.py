@@ -40,7 +40,7 @@ from fracture_collision.simulation.engine import (
     planned,
     pushes_of,
 )
-from fracture_collision.simulation.own_dynamics import OwnDynamics
+from fracture_collision.simulation.engines import dynamics_of
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene.scene import Fracture, Scene, SceneBody
 from fracture_collision.simulation.solver import contact_memory
@@ -58,7 +58,7 @@ from fracture_collision.simulation.step_records import LookaheadCheck, StepRepor
 class Simulation:
     """A run of one scene. The same scene, seed and answers give the same states, byte for byte.
 
-    `seed`, if given, replaces the scene's, `dynamics` the package's own engine. looks_ahead: the contacts come from a
+    `seed`, if given, replaces the scene's, `dynamics` its engine. looks_ahead: the contacts come from a
     service that looks a step ahead (its parameter `lookahead`), see touch_ahead.
     """
 
@@ -69,9 +69,7 @@ class Simulation:
         self._seed = scene.seed if seed is None else seed
         self._looks_ahead = looks_ahead
         self._lookahead_check = LookaheadCheck(scene.time_step if looks_ahead else None)
-        if dynamics is None:
-            dynamics = OwnDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead)
-        self.dynamics = dynamics
+        self.dynamics = dynamics_of(scene, looks_ahead) if dynamics is None else dynamics
         self._step = 0
         self._sequence = 0
         self._cast = Cast(scene.bodies)

@@ -32,7 +32,7 @@ from fracture_collision.ros.processes.process import Fatal, run_node
 from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.conversion import header_of, heading
 from fracture_collision.simulation.live import REACH, Ball, CommandRefused, History, LiveScene, Moment
-from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, scene_names
+from fracture_collision.simulation.scene.scene import Scene, SceneError, scene_names
 from fracture_collision.simulation.simulation import Simulation, StepReport
 
 STATUS_INTERVAL = 0.02  # [s]
@@ -241,7 +241,7 @@ class LiveSimulatorNode(SimulatorNode):
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         name = self.get_parameter("next_scene").value or self._scene_name
         try:
-            scene = load_scene(name if name in self._offered else scene_file(self._uploads, name) or name)
+            scene = self._load(str(name if name in self._offered else scene_file(self._uploads, name) or name))
         except (SceneError, OSError) as error:
             # Errors quote the file, and its content must not leave this machine.
             self.get_logger().error(str(error))

@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.task import Future
 
+from fracture_collision.extras import MissingExtra
 from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
@@ -29,6 +30,7 @@ from fracture_collision.ros.wire.cdr_records import deserialize_record, serializ
 from fracture_collision.ros.wire.conversion import header_of, heading, to_message, to_record
 from fracture_collision.ros.wire.interfaces import COLLISION_NODE, Interface
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene
+from fracture_collision.simulation.scene.scene_changes import with_engine
 from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.warm_up import compile_kernels
 from fracture_collision.world.settings import EXACT, GLONDU2014
@@ -51,6 +53,7 @@ PROGRESS_INTERVAL = 0.1  # [s]
 PARAMETERS = (
     Declaration("scene", "plates", "name in config/scenes, or the path of a scene file"),
     Declaration("seed", -1, "seed of the fracture patterns; -1: the scene's own", Range(-1, 2**62)),
+    Declaration("engine", "", "what solves contacts and moves bodies: own or mujoco; '': the scene's"),
     Declaration("run_id", 0, "run_id of all messages; 0: drawn at random", Range(0, 2**62)),
     Declaration("looks_ahead", True, "set the service's `lookahead` to the scene's time step, and count on it"),
     Declaration(
@@ -79,9 +82,10 @@ class SimulatorNode(Node):
         self._looks_ahead, self._subscribers = given["looks_ahead"], given["wait_for_subscribers"]
         self._timing_file, self._tells_progress = given["timing_file"], given["progress"]
 
+        self._engine = given["engine"]
         try:
-            scene = load_scene(scene_name)
-        except (SceneError, OSError) as error:
+            scene = self._load(scene_name)
+        except (SceneError, MissingExtra, OSError) as error:
             raise Fatal(str(error)) from error
         self._simulation = self._make_simulation(scene, scene.seed if seed < 0 else seed)
         self._total_steps = scene.step_count
@@ -138,6 +142,9 @@ class SimulatorNode(Node):
         if self._timing_file:
             np.save(Path(self._timing_file), np.array(self._rows).reshape(-1, len(SIMULATOR_COLUMNS)))
         self._simulation.close()
+
+    def _load(self, name: str) -> Scene:
+        return with_engine(load_scene(name), self._engine)
 
     def _make_simulation(self, scene: Scene, seed: int) -> Simulation:
         return Simulation(scene, seed, looks_ahead=self._looks_ahead)

@@ -15,6 +15,7 @@ from fracture_collision.process.outputs import NewOutputs
 from fracture_collision.ros.processes.node_process import NodeProcess
 from fracture_collision.ros.runs.run_domain import run_domain
 from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.simulation.scene.scene_changes import with_engine
 
 LOGS = "logs"
 LOOK = 0.05  # [s]
@@ -43,13 +44,13 @@ class Played(NamedTuple):
 
 
 @contextmanager
-def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[Played]:
+def played(scene: str, seed: int, out: Path, host: str, port: int, engine: str = "") -> Iterator[Played]:
     """Starts all nodes and waits for the page; ends them all afterwards.
 
     The nodes' logs are in out/logs, where they replace an earlier run's once the page is up. Raises PlayFailed,
     DomainTaken, SceneError, and OSError if `out` cannot be written.
     """
-    time_step = load_scene(scene).time_step
+    time_step = with_engine(load_scene(scene), engine).time_step
     with run_domain(default=0) as domain_id, NewOutputs(out, (LOGS,)) as new, ExitStack() as nodes:
         logs = new.folder / LOGS
         logs.mkdir()
@@ -59,7 +60,9 @@ def played(scene: str, seed: int, out: Path, host: str, port: int) -> Iterator[P
             nodes.callback(node.stop, ENDING)
             return node
 
-        simulator = start("live_simulator_node", scene=scene, seed=seed, niceness=BEHIND, folder=str(out))
+        simulator = start(
+            "live_simulator_node", scene=scene, seed=seed, engine=engine, niceness=BEHIND, folder=str(out)
+        )  # fmt: skip
         service = start("collision_node", niceness=BEHIND, lookahead=time_step)
         page = start("page_node", subprocess.PIPE, host=host, port=port, folder=str(out), scene=scene)
         run = Played(_address(page, (service, simulator)), domain_id, (service, simulator, page))

@@ -22,6 +22,7 @@ from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMUL
 from fracture_collision.ros.runs.run_domain import run_domain
 from fracture_collision.run_report import summaries
 from fracture_collision.simulation.scene.scene import load_scene
+from fracture_collision.simulation.scene.scene_changes import with_engine
 
 # [s] for the recorder to receive what is on its way when the simulator has ended.
 RECORDER_PATIENCE = 20.0
@@ -45,7 +46,9 @@ class Progress(NamedTuple):
     word: str  # the service's last log line, before the first step
 
 
-def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Progress], None]) -> dict[str, Any]:
+def run_scene(
+    scene: str, seed: int | None, out: Path, on_progress: Callable[[Progress], None], engine: str | None = None
+) -> dict[str, Any]:  # fmt: skip
     """Runs `scene` to its end; returns the report (see `make_report`).
 
     Writes out/bag and out/logs, which must not exist yet. Raises RunFailed, DomainTaken. In any case no process is left
@@ -56,10 +59,12 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
     times = {name: logs / f"{name}.npy" for name in ("collision_node", "simulator_node")}
     simulator_parameters = {
         "scene": scene, "timing_file": str(times["simulator_node"]), "progress": True, "wait_for_subscribers": 2,
+        "engine": engine or "",
     }  # fmt: skip
     if seed is not None:
         simulator_parameters["seed"] = seed
-    time_step = load_scene(scene).time_step
+    what = with_engine(load_scene(scene), engine)
+    time_step = what.time_step
     started = time.monotonic()
     with run_domain() as domain_id, ExitStack() as processes:
         def start(
@@ -96,6 +101,7 @@ def run_scene(scene: str, seed: int | None, out: Path, on_progress: Callable[[Pr
     totals["time_step_ms"] = 1e3 * float(report["time"][0])
     return {
         "scene": scene,
+        "engine": what.engine,
         "seed": seed,
         "seconds": seconds,
         "living_fragments": living,

@@ -107,9 +107,9 @@ class Fields:
             raise SceneError(f"{self.name(key)}: needs {broken}, got {value}")
         return float(value)
 
-    def text(self, key: str, words: str) -> str:
+    def text(self, key: str, words: str, default: Any = ...) -> str:
         """A text, or a number as text."""
-        value = self.take(key, words, kind="text")
+        value = self.take(key, words, default, kind="text")
         if isinstance(value, bool) or not isinstance(value, str | int | float):
             raise SceneError(f"{self.name(key)}: needs a text, got {quoted(value)}")
         return str(value)

@@ -26,6 +26,8 @@ from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, t
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
 
 MAX_STEPS = 1_000_000_000
+# What solves contacts and moves bodies, see simulation/dynamics.py.
+OWN, MUJOCO = ENGINES = "own", "mujoco"
 EARTH = (0.0, 0.0, -9.81)  # [m/s2] gravity, unless a scene has its own
 # What longer descriptions of fields say.
 VARIANTS = "scenes derived from this one, by name: fields that replace those above, bodies by their names"
@@ -96,6 +98,7 @@ class Scene(NamedTuple):
     bodies: tuple[SceneBody, ...]
     hand: Hand | None = None  # that drags bodies
     arm: Arm | None = None  # its parts are among the bodies, under the names of arm.PARTS
+    engine: str = OWN  # of ENGINES
 
     @property
     def step_count(self) -> int:
@@ -185,11 +188,19 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         bodies=bodies,
         hand=hand,
         arm=arm,
+        engine=known_engine(root.text("engine", f"what solves contacts: {' or '.join(ENGINES)}", OWN)),
     )
     root.finish()
     if scene.duration > MAX_STEPS * scene.time_step:
         raise SceneError(f"duration: {scene.duration} s are more than {MAX_STEPS} steps of {scene.time_step} s")
     return scene
+
+
+def known_engine(name: str) -> str:
+    """The name, if it is one of ENGINES; raises SceneError."""
+    if name not in ENGINES:
+        raise SceneError(f"engine: {quoted(name)} is none of {', '.join(ENGINES)}{did_you_mean(name, ENGINES)}")
+    return name
 
 
 def _find(name: str) -> tuple[Path, str]:

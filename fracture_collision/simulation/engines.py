@@ -1,0 +1,16 @@
+"""The engines by name."""
+
+from __future__ import annotations
+
+from fracture_collision.simulation.dynamics import Dynamics
+from fracture_collision.simulation.own_dynamics import OwnDynamics
+from fracture_collision.simulation.scene.scene import MUJOCO, Scene
+
+
+def dynamics_of(scene: Scene, looks_ahead: bool) -> Dynamics:
+    """A scene's engine, without bodies. looks_ahead: see OwnDynamics. MissingExtra if it is not installed."""
+    if scene.engine == MUJOCO:
+        from fracture_collision.simulation.mujoco_dynamics import MujocoDynamics
+
+        return MujocoDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead)
+    return OwnDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead)

@@ -1,0 +1,491 @@
+"""MuJoCo as the engine: it solves the service's contacts, and holds a model with actuators beside the scene's bodies.
+
+MuJoCo has no way to be given contacts, but its stages can be called one by one: contacts are written where its own
+detection would put them, and before its solver starts, the accelerations that it aims at (`efc_aref`) are replaced.
+Todorov 2014 minimizes over forces in friction cones; by that alone, sliding contacts lift off, nothing bounces
+exactly, and bodies sink. So the normal rows aim at, in units of velocity (De Saxce; Acary et al. 2011):
+
+    h a_n = least - v_n - mu |slip| + h R_n f_n         h a_t = -v_t + h R_t f_t
+
+    least   -g / h of an open gap g; 0 of a closed one; -e v_n of a blow that closes within the step
+    slip    the tangential velocity after the step, known from the solve before (`ROUNDS`): Coulomb's friction exactly
+    R f     MuJoCo's softness R at the forces of the solve before: a rigid result from a well conditioned problem
+
+Penetrations are corrected in a solve of their own, whose velocities move poses only. Contacts ahead hold bodies back as
+in the package's own engine (`touch_ahead`); they do not make up for the time lost. A step starts from the impulses of
+the last one, by contact id (`warm_start`).
+
+A body is a slot of a pool that is compiled once; the frame of a slot is the body's centre of mass and principal axes.
+Equal runs are equal to the last bit on one kind of processor; on another they may differ, as BLAS-like code does.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fracture_collision.extras import need
+
+need("mujoco", "the engine MuJoCo")
+
+import mujoco  # noqa: E402
+
+from fracture_collision.records import ContactConstraintArray  # noqa: E402
+from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved  # noqa: E402
+from fracture_collision.simulation.engine import BodyStates, ByFragment, Planned  # noqa: E402
+from fracture_collision.simulation.rotations import (  # noqa: E402
+    quaternion_products,
+    rotation_matrices,
+    turned,
+)
+from fracture_collision.simulation.solver.contact_solver import (  # noqa: E402
+    BodyPairs,
+    RigidBodies,
+    Solution,
+    SolverSettings,
+)
+from fracture_collision.simulation.solver.touch_ahead import Course, shares_of_step  # noqa: E402
+from fracture_collision.simulation.solver.warm_start import (  # noqa: E402
+    NO_WARM_START,
+    WarmStart,
+    carried_impulses,
+)
+
+# Bytes of an mjContact in the release that requirements/mujoco.in pins: contacts are written to its arena at once, as
+# mj_addContact takes the longer the more there are.
+CONTACT_BYTES = 608
+# Slots at first; twice as many are compiled when they run out.
+SLOTS = 64
+ARENA = 256 << 20  # [bytes] 65,000 contacts take 40 MB
+# MuJoCo's impedance: near to 1 the problem is ill conditioned, and piles do not converge.
+IMPEDANCE = 0.99
+# Solves of a step at most, until no contact's velocity changes by more than ACCURACY [m/s].
+ROUNDS, ACCURACY = 4, 1.0e-5
+TOLERANCE, ITERATIONS = 1.0e-8, 100
+# Friction below it is not accepted.
+LEAST_FRICTION = 1.0e-5
+# [m] Slots that are not in use stand there, one beside the other.
+PARKED = 1000.0
+
+
+# Attributes of MujocoDynamics that follow from the others.
+_OF_MUJOCO = {"_spec", "_model", "_data", "_count", "_bodies_at", "_dofs_at", "_geoms", "_slots", "_in_slots"}
+
+
+class _Slots(NamedTuple):
+    """Views into MuJoCo's data: a row for each slot."""
+
+    qpos: np.ndarray  # (s, 7) position, quaternion w x y z
+    qvel: np.ndarray  # (s, 6) linear, world; angular, body
+    qacc: np.ndarray
+    warm: np.ndarray
+    applied: np.ndarray  # (s, 6) generalized forces, as qvel
+
+
+class _Axes(NamedTuple):
+    """Principal axes of n bodies."""
+
+    fragment_ids: np.ndarray  # (n,) uint32
+    moments: np.ndarray  # (n, 3) [kg m2]
+    turns: np.ndarray  # (n, 4) x y z w: body frame to principal axes
+
+
+class _Step(NamedTuple):
+    """The step between `solve` and `move`."""
+
+    given: Given
+    bodies: RigidBodies
+    searched: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
+    velocities: np.ndarray  # (n, 6) after it
+    drift: np.ndarray  # (n, 6) that corrects poses
+
+
+class _Contacts(NamedTuple):
+    """The N contacts of a step between bodies of which one at least is awake."""
+
+    rows: np.ndarray  # (N,) int64 among all
+    body_a: np.ndarray  # (N,) int64 rows of the bodies, n for what cannot move
+    body_b: np.ndarray  # (N,) int64
+    points: np.ndarray  # (N, 3) [m], midway between the witnesses
+    frames: np.ndarray  # (N, 3, 3) rows: normal from a to b, two tangents
+    gaps: np.ndarray  # (N,) [m] beyond the rest gap
+    friction: np.ndarray  # (N,)
+    restitution: np.ndarray  # (N,)
+    bounce_speeds: np.ndarray  # (N,) [m/s]
+    rolling_arms: np.ndarray  # (N,) [m]
+    sizes: np.ndarray  # (N,) R [m]
+
+
+class _Rows(NamedTuple):
+    """The constraint rows of N contacts."""
+
+    normal: np.ndarray  # (N,) row of the normal; those of the tangents follow
+    velocity: np.ndarray  # (N,) v_n before the step
+    sliding: np.ndarray  # (2, N) v_t
+    softness: np.ndarray  # (3, N) R
+
+
+class MujocoDynamics(SleepingWorld):
+    """A Dynamics, see the module. gravity (3,) [m/s2]; time_step [s]; looks_ahead: as in OwnDynamics."""
+
+    def __init__(
+        self, time_step: float, gravity: np.ndarray, settings: SolverSettings, looks_ahead: bool = False
+    ) -> None:
+        super().__init__(time_step, gravity, settings)
+        self._looks_ahead = looks_ahead
+        self._warm_start, self._accelerations = NO_WARM_START, ByFragment(np.zeros(0, np.uint32), np.zeros((0, 6)))
+        self._axes = _Axes(np.zeros(0, np.uint32), np.zeros((0, 3)), np.zeros((0, 4)))
+        self._step: _Step | None = None
+        self._spec = mujoco.MjSpec()
+        self._spec.memory = ARENA
+        self._spec.option.timestep, self._spec.option.gravity = time_step, gravity
+        world = self._spec.worldbody.add_geom()
+        world.name = "world"
+        _make_handle(world)
+        self._count = 0
+        self._compile(SLOTS)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> MujocoDynamics:
+        """A copy whose MuJoCo is another one: what it holds between steps is kept here."""
+        its = {name: copy.deepcopy(value, memo) for name, value in vars(self).items() if name not in _OF_MUJOCO}
+        other = MujocoDynamics(self._time_step, self._gravity, self._settings, self._looks_ahead)
+        vars(other).update(its)
+        return other
+
+    def begin(self, planned: Planned | None) -> BodyStates:
+        """As in Dynamics."""
+        states = self.states()
+        return self._before_contacts(states, planned, np.full(len(states.masses), self._time_step))
+
+    def _searched_of(self, given: Given) -> np.ndarray:
+        """(n, 6) velocities that the service looked ahead with."""
+        states = self._before_contacts(
+            given.states, given.planned, np.full(len(given.states.masses), self._time_step)
+        )
+        return states.velocities()
+
+    def solve(self, given: Given) -> Solved:
+        """As in Dynamics."""
+        searched = self._searched_of(given) if self._looks_ahead else None
+        self._settle(given)
+        states, n, (now, *_) = given.states, len(given.states.masses), given.contacts
+        asleep, strengths = self._rest.asleep, given.traits.strengths
+        bodies = self._rigid_bodies(states, given.pushes, np.full(n, self._time_step), asleep)
+        contacts = _contacts_of(now, given.contacts.pairs, asleep)
+        begin = now.pair_begin.astype(np.int64)
+        impulses, rolling = carried_impulses(
+            now.fragment_a, now.fragment_b, begin, now.contact_ids, self._warm_start
+        )
+        at = contacts.rows
+        self._put_bodies(states, bodies)
+        velocities, drift, local = self._velocities(contacts, impulses[at], bodies)
+        after = np.einsum("nk,nkj->nj", local, contacts.frames)
+        loads = np.zeros(n + 1)
+        for body in (contacts.body_a, contacts.body_b):
+            np.add.at(loads, body, local[:, 0])
+        overloaded = np.flatnonzero(loads[:-1] > strengths)
+        if len(overloaded):
+            share = np.ones(n + 1)
+            share[overloaded] = strengths[overloaded] / loads[overloaded]
+            share = np.minimum(share[contacts.body_a], share[contacts.body_b])
+            after *= share[:, None]
+            capped, _, _ = self._velocities(contacts, after, bodies, share < 1.0)
+            # as in solve_with_strengths: in this step poses move as if the fragments that break held
+            velocities, drift = capped, drift + velocities - capped
+        impulses[at] = after
+        normal, pressing = np.zeros(len(now.gaps)), np.zeros(len(now.gaps))
+        normal[at] = local[:, 0]
+        is_blow = np.einsum("nj,nj->n", contacts.frames[:, 0], _speeds(contacts, bodies)) < -contacts.bounce_speeds
+        pressing[at] = np.where(is_blow & (contacts.restitution > 0.0), 0.0, local[:, 0])
+        self._warm_start = WarmStart(now.fragment_a, now.fragment_b, begin, now.contact_ids, impulses, rolling)
+        solution = Solution(velocities, drift, normal, pressing, self._warm_start)
+        self._step = _Step(given, bodies, searched, velocities, drift + self._flight(given, bodies, solution))
+        return Solved(normal, overloaded, velocities - bodies.free_velocities)
+
+    def move(self) -> float:
+        """As in Dynamics."""
+        assert self._step is not None
+        (given, bodies, searched, v, drift), self._step = self._step, None
+        moves = v + drift
+        falls = (bodies.free_velocities - bodies.velocities)[:, :3]
+        course = Course(moves, searched, falls, np.zeros(len(v), bool))
+        shares = shares_of_step(
+            given.states, given.contacts, course, given.traits.forms, self._settings, self._time_step
+        )
+        held = shares < 1.0
+        if held.any():  # what waits does not fall
+            v[held, :3] -= (1.0 - shares[held, None]) * falls[held]
+        drift = shares[:, None] * moves - v
+        self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
+        self._rest_after(given, v + drift)
+        return 0.0
+
+    def _compile(self, count: int) -> None:
+        """Make a model of `count` slots."""
+        for k in range(self._count, count):
+            body = self._spec.worldbody.add_body()
+            body.name = f"slot {k}"
+            body.add_freejoint()
+            body.explicitinertial, body.mass, body.inertia = True, 1.0, [1.0] * 3
+            _make_handle(body.add_geom())
+        self._count, self._model = count, self._spec.compile()
+        option = self._model.opt
+        option.integrator, option.cone = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtCone.mjCONE_ELLIPTIC
+        option.solver, option.iterations, option.tolerance = mujoco.mjtSolver.mjSOL_NEWTON, ITERATIONS, TOLERANCE
+        option.ls_tolerance = 1.0e-4
+        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
+        data = self._data = mujoco.MjData(self._model)
+        first = self._model.body("slot 0").id
+        joint = self._model.body_jntadr[first]
+        q, v = self._model.jnt_qposadr[joint], self._model.jnt_dofadr[joint]
+        self._bodies_at, self._dofs_at = first, v
+        self._geoms = np.append(self._model.body_geomadr[first : first + count], self._model.geom("world").id)
+        self._slots = _Slots(
+            data.qpos[q : q + 7 * count].reshape(count, 7),
+            *(x[v : v + 6 * count].reshape(count, 6)
+              for x in (data.qvel, data.qacc, data.qacc_warmstart, data.qfrc_applied)),
+        )  # fmt: skip
+        self._in_slots = np.zeros(0, np.uint32)
+
+    def _put_bodies(self, states: BodyStates, bodies: RigidBodies) -> None:
+        """Give the slots the bodies before the step, in their order, with gyroscopic torques of the midpoint rule."""
+        n, ids, h = len(states.masses), states.fragment_ids, self._time_step
+        if n > self._count:
+            self._compile(max(2 * self._count, n))
+        if not np.array_equal(self._in_slots, ids):
+            self._put_masses(states)
+        slots, moments = self._slots, self._axes.moments
+        slots.qpos[:n, :3] = states.centers
+        turns = quaternion_products(states.frame_orientations, self._axes.turns)
+        slots.qpos[:n, 3:] = turns[:, [3, 0, 1, 2]]
+        back = rotation_matrices(turns).transpose(0, 2, 1).copy()
+        slots.qvel[:n, :3] = bodies.velocities[:, :3]
+        spins, later = turned(back, bodies.velocities[:, 3:]), turned(back, bodies.free_velocities[:, 3:])
+        slots.qvel[:n, 3:] = spins
+        slots.applied[:] = 0.0
+        slots.applied[:n, 3:] = moments * (later - spins) / h + np.cross(spins, moments * spins)
+        slots.warm[:n] = self._accelerations.of(ids)
+
+    def _put_masses(self, states: BodyStates) -> None:
+        """Write the masses of the bodies to the model's slots, and park the rest."""
+        n, model, ids = len(states.masses), self._model, states.fragment_ids
+        new = ~np.isin(ids, self._axes.fragment_ids)
+        known = ByFragment(self._axes.fragment_ids, np.hstack((self._axes.moments, self._axes.turns))).of(ids)
+        if new.any():
+            known[new] = _principal_axes(self._bodies.inertias[new])
+        self._axes = _Axes(ids, known[:, :3].copy(), known[:, 3:].copy())
+        every, dofs = slice(self._bodies_at, self._bodies_at + n), slice(self._dofs_at, self._dofs_at + 6 * n)
+        moments, inverse = self._axes.moments, (1.0 / self._axes.moments).mean(axis=1)
+        model.body_mass[every] = model.body_subtreemass[every] = states.masses
+        model.body_inertia[every] = moments
+        model.body_invweight0[every] = np.column_stack((1.0 / states.masses, inverse))
+        model.dof_invweight0[dofs] = np.repeat(np.column_stack((1.0 / states.masses, inverse)), 3, axis=1).ravel()
+        model.dof_M0[dofs] = np.hstack((np.tile(states.masses[:, None], 3), moments)).ravel()
+        self._slots.qpos[n:] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+        self._slots.qpos[n:, 0] = PARKED + np.arange(self._count - n)
+        self._slots.qvel[n:] = self._slots.warm[n:] = 0.0
+        self._in_slots = ids
+
+    def _velocities(
+        self, contacts: _Contacts, impulses: np.ndarray, bodies: RigidBodies, is_applied: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Velocities (n, 6) after the step, those that correct poses, and impulses (N, 3) [N s] along the frames.
+
+        impulses (N, 3), world axes, on b: where the solver begins; is_applied (N,) bool: they are applied as they are.
+        """
+        model, data, n, h = self._model, self._data, len(bodies.masses), self._time_step
+        data.xfrc_applied[:] = 0.0
+        if is_applied is not None:
+            self._apply(contacts, impulses, is_applied)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_makeM(model, data)
+        mujoco.mj_factorM(model, data)
+        self._inject(contacts)
+        if is_applied is not None:
+            exclude = data.contact.exclude.copy()
+            exclude[is_applied] = 1
+            data.contact.exclude[:] = exclude
+        mujoco.mj_makeConstraint(model, data)
+        mujoco.mj_island(model, data)
+        mujoco.mj_projectConstraint(model, data)
+        mujoco.mj_transmission(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+        mujoco.mj_fwdAcceleration(model, data)
+        chosen = np.arange(len(contacts.rows)) if is_applied is None else np.flatnonzero(~is_applied)
+        forces, pose = np.zeros((len(contacts.rows), 3)), None
+        if len(chosen):
+            picked = _Contacts._make(column[chosen] for column in contacts)
+            forces[chosen], pose = self._solve_rounds(picked, chosen, impulses[chosen] / h)
+        else:
+            mujoco.mj_fwdConstraint(model, data)
+        self._accelerations = ByFragment(self._in_slots, self._slots.qacc[:n].copy())
+        velocities = self._after(bodies, self._slots.qacc[:n])
+        drift = np.zeros_like(velocities)
+        if pose is not None:
+            drift = self._after(bodies, pose) - velocities
+        return velocities, drift, h * forces
+
+    def _after(self, bodies: RigidBodies, accelerations: np.ndarray) -> np.ndarray:
+        """Velocities (n, 6) after the step, of slots with `accelerations` (n, 6); asleep: 0."""
+        n, h = len(bodies.masses), self._time_step
+        quaternions = self._slots.qpos[:n, [4, 5, 6, 3]]
+        angular = turned(rotation_matrices(quaternions), self._slots.qvel[:n, 3:] + h * accelerations[:, 3:])
+        velocities = np.hstack((self._slots.qvel[:n, :3] + h * accelerations[:, :3], angular))
+        velocities[bodies.asleep] = 0.0
+        return velocities
+
+    def _apply(self, contacts: _Contacts, impulses: np.ndarray, chosen: np.ndarray) -> None:
+        """Apply the impulses of the `chosen` (N,) contacts as forces on their bodies."""
+        forces, centers = impulses[chosen] / self._time_step, self._slots.qpos[:, :3]
+        at = self._data.xfrc_applied[self._bodies_at : self._bodies_at + self._count]
+        for body, sign in ((contacts.body_a[chosen], -1.0), (contacts.body_b[chosen], 1.0)):
+            moves = body < len(self._in_slots)
+            rows, f = body[moves], sign * forces[moves]
+            np.add.at(at, rows, np.hstack((f, np.cross(contacts.points[chosen][moves] - centers[rows], f))))
+
+    def _inject(self, contacts: _Contacts) -> None:
+        """Put the contacts where MuJoCo's detection of collisions would."""
+        model, data, count, h = self._model, self._data, len(contacts.rows), self._time_step
+        data.ncon = 0
+        if not count:
+            return
+        one = mujoco.MjContact()
+        one.dim = 3
+        # mj_addContact makes room for one, and drops the rows of the step before; the others follow it in the arena
+        if mujoco.mj_addContact(model, data, one) or count * CONTACT_BYTES > data.narena // 2:
+            raise MemoryError(f"{count} contacts are more than MuJoCo's arena of {data.narena} bytes takes")
+        data.parena, data.ncon = count * CONTACT_BYTES, count
+        to = data.contact
+        rolls = contacts.rolling_arms > 0.0
+        to.dim[:] = np.where(rolls, 6, 3)
+        to.includemargin[:], to.exclude[:], to.adhesion[:], to.efc_address[:] = 0.0, 0, 0.0, -1
+        to.surfacevel[:], to.flex[:], to.elem[:], to.vert[:] = 0.0, -1, -1, -1
+        to.solimp[:], to.solref[:] = (IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0), (-IMPEDANCE / h**2, -IMPEDANCE / h)
+        to.solreffriction[:] = 0.0
+        to.pos[:], to.frame[:], to.dist[:] = contacts.points, contacts.frames.reshape(count, 9), contacts.gaps
+        unused = len(self._geoms) - 1
+        geoms = [self._geoms[np.where(b < len(self._in_slots), b, unused)] for b in (contacts.body_a, contacts.body_b)]
+        to.geom[:] = np.column_stack(geoms)
+        to.geom1[:], to.geom2[:] = geoms
+        friction = np.maximum(contacts.friction, LEAST_FRICTION)
+        arms = np.maximum(contacts.rolling_arms, LEAST_FRICTION)
+        to.friction[:] = np.column_stack((friction, friction, arms, arms, arms))
+
+    def _solve_rounds(
+        self, contacts: _Contacts, chosen: np.ndarray, forces: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Forces (N, 3) [N] along the frames, and accelerations (n, 6) of what corrects poses, None: as all.
+
+        chosen (N,): the contacts' numbers in MuJoCo; forces (N, 3) [N], world axes: where it begins.
+        """
+        model, data, h = self._model, self._data, self._time_step
+        normal = data.contact.efc_address[chosen]
+        rows = _Rows(
+            normal, data.efc_vel[normal].copy(), np.stack([data.efc_vel[normal + k] for k in (1, 2)]),
+            np.stack([data.efc_R[normal + k] for k in range(3)]),
+        )  # fmt: skip
+        least, for_poses = self._least_velocities(contacts, rows.velocity)
+        friction = np.maximum(contacts.friction, LEAST_FRICTION)
+        steady = rows.velocity > -contacts.bounce_speeds  # in a blow the slip is not known
+        slip = np.where(steady, np.sqrt((rows.sliding * rows.sliding).sum(axis=0)), 0.0)
+        pressed = rows.softness * np.einsum("nkj,nj->kn", contacts.frames, forces)
+        change = np.zeros(data.nefc)
+
+        def solve(least: np.ndarray) -> None:
+            data.efc_aref[normal] = (least - friction * slip - rows.velocity) / h + pressed[0]
+            for k in (1, 2):
+                data.efc_aref[normal + k] = -rows.sliding[k - 1] / h + pressed[k]
+            mujoco.mj_fwdConstraint(model, data)
+            data.qacc_warmstart[:] = data.qacc
+
+        for turn in range(ROUNDS):
+            solve(least)
+            if turn + 1 == ROUNDS:
+                break
+            mujoco.mj_mulJacVec(model, data, change, data.qacc)
+            slides = rows.sliding + h * np.stack([change[normal + k] for k in (1, 2)])
+            slips = np.sqrt((slides * slides).sum(axis=0))
+            presses = rows.softness * np.stack([data.efc_force[normal + k] for k in range(3)])
+            off = max((friction * np.abs(slips - slip)).max(), h * np.abs(presses - pressed).max())
+            if off < ACCURACY:
+                break
+            slip, pressed = slips, presses
+        found = np.column_stack([data.efc_force[normal + k] for k in range(3)])
+        if not (for_poses > least).any():
+            return found, None
+        accelerations = data.qacc.copy()
+        solve(for_poses)
+        poses = self._slots.qacc.copy()
+        data.qacc[:] = data.qacc_warmstart[:] = accelerations
+        return found, poses[: len(self._in_slots)]
+
+    def _least_velocities(self, contacts: _Contacts, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Least normal velocities (N,) [m/s] after the step: of the bodies, and of what moves their poses."""
+        settings, h, gaps = self._settings, self._time_step, contacts.gaps
+        is_blow = (v < -contacts.bounce_speeds) & (gaps < -v * h)
+        least = np.where(gaps > 0.0, -gaps / h, 0.0)
+        least = np.where(is_blow, np.maximum(least, -contacts.restitution * v), least)
+        deep = -gaps - settings.rest_slop * contacts.sizes
+        speed = np.minimum(settings.drift_fraction * deep / h, settings.drift_speed * contacts.sizes)
+        return least, np.where(deep > 0.0, np.maximum(least, speed), least)
+
+
+def _make_handle(geom: Any) -> None:
+    """A geom that names its body in contacts, and collides with nothing."""
+    geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [0.01] * 3
+    geom.contype, geom.conaffinity, geom.mass = 0, 0, 0.0
+
+
+def _principal_axes(inertias: np.ndarray) -> np.ndarray:
+    """Principal moments [kg m2] and quaternions x y z w of inertias (n, 3, 3): (n, 7)."""
+    moments, axes = np.linalg.eigh(inertias)
+    axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0
+    turns, quaternion = np.empty((len(axes), 4)), np.empty(4)
+    for k, matrix in enumerate(axes):
+        mujoco.mju_mat2Quat(quaternion, matrix.ravel())
+        turns[k] = quaternion[[1, 2, 3, 0]]
+    return np.hstack((moments, turns))
+
+
+def _contacts_of(contacts: ContactConstraintArray, pairs: BodyPairs, asleep: np.ndarray) -> _Contacts:
+    counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
+
+    def each(values: np.ndarray) -> np.ndarray:
+        return np.repeat(values, counts)
+
+    flat = _Contacts(
+        np.arange(len(contacts.gaps)), each(pairs.body_a), each(pairs.body_b),
+        0.5 * (contacts.points_a + contacts.points_b), _frames_of(contacts.normals), contacts.gaps - pairs.rest_gaps,
+        each(contacts.friction), each(contacts.restitution), each(pairs.bounce_speeds), each(pairs.rolling_arm),
+        each(pairs.sizes),
+    )  # fmt: skip
+    rests = np.append(asleep, True)
+    wakes = ~(rests[flat.body_a] & rests[flat.body_b])
+    return flat if wakes.all() else _Contacts._make(column[wakes] for column in flat)
+
+
+def _frames_of(normals: np.ndarray) -> np.ndarray:
+    """(N, 3, 3): rows normal, and two tangents."""
+    frames = np.empty((len(normals), 3, 3))
+    frames[:, 0] = normals
+    axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    tangent = axis - (axis * normals).sum(axis=1, keepdims=True) * normals
+    frames[:, 1] = tangent / np.sqrt((tangent * tangent).sum(axis=1, keepdims=True))
+    frames[:, 2] = np.cross(frames[:, 0], frames[:, 1])
+    return frames
+
+
+def _speeds(contacts: _Contacts, bodies: RigidBodies) -> np.ndarray:
+    """Velocities (N, 3) [m/s] of b against a at the contact points, before the step."""
+    u = np.vstack((bodies.velocities, np.zeros(6)))
+    centers = np.vstack((bodies.centers, np.zeros(3)))
+    a, b = (
+        u[body, :3] + np.cross(u[body, 3:], contacts.points - centers[body])
+        for body in (contacts.body_a, contacts.body_b)
+    )
+    return b - a
