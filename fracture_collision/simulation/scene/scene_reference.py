@@ -104,7 +104,7 @@ def _default(entry: Entry) -> str:
         return str(entry.default).lower()
     if isinstance(entry.default, tuple):
         return "[" + ", ".join(f"{x:g}" for x in entry.default) + "]"
-    return f"{entry.default:g}"
+    return entry.default if isinstance(entry.default, str) else f"{entry.default:g}"
 
 
 def _sentence(text: str) -> str:
