@@ -7,7 +7,6 @@ Delaunay tetrahedralization (Qhull); equal arguments give equal bytes.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import Delaunay
 
 from fracture_collision.geometry.generators import TetGeometry, geodesic_sphere, oriented, require_positive
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
@@ -50,6 +49,8 @@ def sampled_shell(
     if interior_points > 0:
         inside = _grid_points(outer_radius, inner_radius, cube_root(volume / interior_points), interior_points)
     vertices = np.concatenate([*surface, inside])
+    from scipy.spatial import Delaunay  # late: a quarter of a second
+
     tetrahedra = Delaunay(vertices).simplices
     centres = vertices[tetrahedra].mean(axis=1)
     tetrahedra = tetrahedra[lengths(centres) > inner_radius]

@@ -7,7 +7,6 @@ vertices up to the lip; layers of vertices are offset from it along its normals.
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from fracture_collision.geometry.generators import (
     TetGeometry,
@@ -45,6 +44,8 @@ def vase(height: float, wall: float, edge_length: float, layers: int = 2) -> Tet
         raise ValueError(f"wall: {wall} m leaves no hollow in a vase of {height} m")
     points = PROFILE * (height - wall)
     distances = np.concatenate(([0.0], np.cumsum(lengths(np.diff(points, axis=0)))))
+    from scipy.interpolate import PchipInterpolator  # late: half a second
+
     profile = PchipInterpolator(distances, points)
     rings = max(2, round(2.0 * np.pi * BELLY * height / (6.0 * edge_length)))
     steps = max(4, round((distances[-1] - distances[FOOT]) / edge_length))

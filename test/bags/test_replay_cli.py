@@ -134,6 +134,7 @@ def test_an_interrupted_replay_reports_the_steps_done(bag: Path, tmp_path: Path,
     assert "stopped after 1 of 30 steps" in text and "all 1 answers equal the recorded ones" in text
 
 
+@pytest.mark.slow
 def test_a_recorded_bag_is_mended(tmp_path: Path) -> None:
     out = tmp_path / "bag"
     done = run("record", "pane", "--out", out, "--steps", "21", "--every", "5", "--seed", "3", "--curvature", "0.25",

@@ -131,7 +131,7 @@ def test_two_runs_are_the_same_byte_for_byte_but_for_their_ids(smashed: tuple[Pa
         assert topic_digest(first / "bag", topic) == topic_digest(tmp_path / "out" / "bag", topic)
 
 
-@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("order", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
     long_scene = scene_of_length(SCENE, 600.0, tmp_path)
     out = tmp_path / "out"

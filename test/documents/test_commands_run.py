@@ -29,8 +29,6 @@ RUN = (
     "fracture-collision scenes",
     "fracture-collision settings",
     "collision_node --help",
-    "fracture-collision smash",
-    "fracture-collision replay out/smash/bag",
     "fracture-collision record SCENE --out BAG",
     "fracture-collision replay BAG",
     "fracture-collision digest BAG",
@@ -41,15 +39,14 @@ RUN = (
     "fracture-collision scene FILE",
     "python examples/break_a_mesh.py part.stl",
     "python -m lint.portable_arithmetic",
-    "python -m benchmarks.scene_seeds pane --seeds 1",
     "python -m fracture_collision.ros.runs.security_files security [--namespace /cell] [--domain 0] [--encrypt]",
 )
-RUN_UNTIL_INTERRUPTED = (
-    "fracture-collision view out/smash/bag",
-    "fracture-collision play --scene FILE",
-)
+RUN_UNTIL_INTERRUPTED = ("fracture-collision play --scene FILE", "fracture-collision view out/smash/bag")
 STUDIES = ("tables", "fig5", "fig12", "resolution", "fig15", "fig16", "fig17")
 SLOW = (
+    "fracture-collision smash",
+    "fracture-collision replay out/smash/bag",
+    "python -m benchmarks.scene_seeds pane --seeds 1",
     "fracture-collision film out/smash/bag",
     "fracture-collision scene drop_bunnies",
     "python benchmarks/numerics.py",
@@ -140,7 +137,9 @@ def prepare(command: str, reader: Path, environment: dict[str, str]) -> None:
             run(maker, reader, environment, 300.0)
 
 
-@pytest.mark.parametrize("command", RUN_UNTIL_INTERRUPTED)
+@pytest.mark.parametrize(
+    "command", [pytest.param(each, marks=pytest.mark.slow if "smash" in each else ()) for each in RUN_UNTIL_INTERRUPTED]
+)
 def test_a_command_with_a_page_ends_when_it_is_interrupted(
     command: str, reader: Path, environment: dict[str, str]
 ) -> None:

@@ -15,8 +15,12 @@ def faults(name: str, setting: Setting) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"), [(name, kind) for name in SCENES for kind in KINDS[: 3 if SCENES[name].has_kinds else 1]]
-)
+    ("name", "kind"),
+    [
+        pytest.param(name, kind, marks=pytest.mark.slow if kind == "brick2" else ())
+        for name in SCENES for kind in KINDS[: 3 if SCENES[name].has_kinds else 1]
+    ],
+)  # fmt: skip
 def test_an_elementary_scene_ends_as_it_should(name: str, kind: str) -> None:
     assert not faults(name, Setting(kind))
 
@@ -28,7 +32,7 @@ def test_it_does_so_with_triangles_and_off_the_axes(name: str, setting: Setting)
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name.startswith("slide")])
-@pytest.mark.parametrize("step", [0.001, 0.01])
+@pytest.mark.parametrize("step", [pytest.param(0.001, marks=pytest.mark.slow), 0.01])
 def test_a_slide_over_seams_loses_nothing_at_other_steps(name: str, step: float) -> None:
     assert not faults(name, Setting("box", step=step))
 

@@ -86,6 +86,7 @@ def case(request) -> FracturedWorld:
     return _case(*request.param)
 
 
+@pytest.mark.slow
 def test_five_generations_equal_the_slow_twin() -> None:
     """On meshes with enough layers for the fronts to propagate."""
     for body, cracks in ((ball(1.0, 0.25), "flat"), (ball(1.0, 0.25), "curved"), (brick((2.0, 1.4, 1.2), 0.2), "flat")):

@@ -76,6 +76,7 @@ def test_a_scene_with_an_arm_goes_on_as_it_did() -> None:
     np.testing.assert_array_equal(again.live.simulation.arm.angles, first.live.simulation.arm.angles)
 
 
+@pytest.mark.slow
 def test_a_rewind_goes_ten_seconds_back_or_to_the_beginning() -> None:
     run = course("pane")
     assert run.history.moment(0.0) is None

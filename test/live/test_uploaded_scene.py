@@ -45,7 +45,10 @@ class Bomb:
 
 @pytest.mark.parametrize(
     ("content", "suffix"),
-    [(TORUS, ".obj"), (npz(vertices=BRICK.vertices, tetrahedra=INVERTED), ".npz")],
+    [
+        (TORUS, ".obj"),
+        pytest.param(npz(vertices=BRICK.vertices, tetrahedra=INVERTED), ".npz", marks=pytest.mark.slow),
+    ],
 )
 def test_a_scene_has_the_body_standing_on_the_floor(tmp_path: Path, content: bytes, suffix: str) -> None:
     scene = tmp_path / "upload_1.yaml"
@@ -135,6 +138,7 @@ def test_reading_is_limited_in_time_and_can_be_ended(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir()) and threading.active_count() < 10
 
 
+@pytest.mark.slow
 def test_scenes_are_numbered_and_found_by_name_only(tmp_path: Path) -> None:
     made: Queue[str] = Queue()
     uploads = UploadedScenes(tmp_path / "uploads", lambda name, _upload: made.put(name))

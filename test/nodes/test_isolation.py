@@ -106,6 +106,7 @@ def test_another_machine_does_not_discover_the_service(machines: Machines, defau
     assert not seen_from_elsewhere(machines, default_environment)
 
 
+@pytest.mark.slow
 def test_another_machine_does_not_discover_the_service_by_address(
     machines: Machines, default_environment: dict[str, str]
 ) -> None:

@@ -81,6 +81,7 @@ def test_a_run_replaces_earlier_logs(out: Path) -> None:
     assert {each.name for each in out.iterdir()} == {"logs", "bag_1"}
 
 
+@pytest.mark.slow
 def test_the_service_looks_ahead_by_a_step_of_the_scene_that_is_played(out: Path) -> None:
     with played("pane", -1, out, "127.0.0.1", 0) as run:
         ears = ServiceClient(run.domain_id)

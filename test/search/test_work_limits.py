@@ -41,6 +41,7 @@ def test_a_hundred_bodies_in_one_place_are_answered(kind: str, spread: float) ->
     assert answer.status == 0 or kind == "mixed"  # spheres touch balls at many places
 
 
+@pytest.mark.slow
 def test_a_thousand_bodies_in_one_place_are_rejected_with_an_explanation() -> None:
     world, states = crowd("boxes", 1000, 0.0)
     with pytest.raises(InvalidMessage, match=r"more than 100000 pairs .* \(max_pairs\)") as refused:
@@ -48,6 +49,7 @@ def test_a_thousand_bodies_in_one_place_are_rejected_with_an_explanation() -> No
     assert refused.value.kind == "limit_exceeded"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", ["boxes", pytest.param("mixed", marks=pytest.mark.slow)])
 def test_memory_for_a_crowd_is_limited(kind: str, count: int) -> None:

@@ -103,6 +103,7 @@ def test_a_camera_over_a_scene_without_a_floor_may_be_anywhere(browser: Any) -> 
             until(lambda: bool(reported) and reported[-1][2], lambda height: height < -0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "camera", [
         {"position": (float("nan"), 0.0, 0.0)}, pytest.param({"image_height": 0}, marks=pytest.mark.slow),

@@ -87,6 +87,7 @@ def test_the_help_mentions_every_control() -> None:
         assert ("Throw" in text) == (handlers is ALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [DESKTOP, pytest.param(PHONE, marks=pytest.mark.slow)])
 def test_the_help_opens_and_closes_in_one_browser(browser: Any, size: tuple[int, int]) -> None:
     with Page(ALL, START) as page:
@@ -107,6 +108,7 @@ def test_the_help_opens_and_closes_in_one_browser(browser: Any, size: tuple[int,
             until(lambda: seen.get_by_role("dialog").count(), lambda count: not count)
 
 
+@pytest.mark.slow
 def test_the_controls_do_not_cover_the_scene_on_a_phone(browser: Any) -> None:
     width, height = PHONE
     with Page(ALL, START) as page:

@@ -14,13 +14,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.timer import Timer
-from scipy.spatial.transform import Rotation
 
 from fracture_collision.records import FragmentStates
 from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.nodes.recordings import RecordingFailed, Recordings
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
 from fracture_collision.ros.nodes.uploaded_scenes import UPLOADS, UploadedScenes
+from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.viewer.page.page_events import Ball, Drag, Handlers, InsideWanted, Ray, ServiceSliders, Upload
 from fracture_collision.world.settings import GLONDU2014
 
@@ -167,7 +167,7 @@ class PageCommands:
         frame = self._frame(drag.fragment_id)
         if frame is not None:
             position, turn = frame
-            self._held = drag.fragment_id, turn.inv().apply(drag.grip - position)
+            self._held = drag.fragment_id, turned_back(turn, drag.grip - position)
             self._pull(drag)
 
     def _pull(self, drag: Drag) -> None:
@@ -179,13 +179,13 @@ class PageCommands:
         self._held = None
         self._hands.let_go()
 
-    def _frame(self, fragment_id: int) -> tuple[np.ndarray, Rotation] | None:
+    def _frame(self, fragment_id: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Position (3,) [m] and quaternion (4,) of a fragment."""
         states = self._states
         if states is None or not (states.fragment_ids == fragment_id).any():
             return None
         row = np.flatnonzero(states.fragment_ids == fragment_id)[0]
-        positions, orientations = states.positions.reshape(-1, 3), states.orientations.reshape(-1, 4)
-        return positions[row], Rotation.from_quat(orientations[row])
+        return states.positions[row], states.orientations[row]
 
     def _strike(self, arrow: str) -> None:
         x, y = ARROWS[arrow]

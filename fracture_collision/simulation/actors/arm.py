@@ -11,11 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from fracture_collision.portable_math import cosine, lengths, sine
 from fracture_collision.records import documented
@@ -272,7 +271,9 @@ def _require_possible(arm: Arm, limits: JointLimits, path: str) -> None:
         )
 
 
-def _curve(arm: Arm) -> PchipInterpolator:
+def _curve(arm: Arm) -> Any:
     """Monotone from row to row, so within the joints' limits as its rows are. Begins and ends at rest."""
+    from scipy.interpolate import PchipInterpolator  # late: half a second
+
     times = np.concatenate((arm.times[:1] - 1.0, arm.times, arm.times[-1:] + 1.0))
     return PchipInterpolator(times, np.concatenate((arm.angles[:1], arm.angles, arm.angles[-1:])))

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fracture_collision.bag.reader import BagError
 from fracture_collision.records import CollisionBody
@@ -95,6 +94,8 @@ class RunScene:
 
     def _poses(self, states: RecordedStates) -> list[tuple[int, np.ndarray, np.ndarray]]:
         """Fragment id, position and rotation matrix of everything solid except planes."""
+        from scipy.spatial.transform import Rotation  # late: half a second
+
         named = set(states.fragment_ids.tolist())
         resting = [b.fragment_id for b in self.run.bodies.values() if b.is_static and b.fragment_id not in named]
         rotations = Rotation.from_quat(states.orientations).as_matrix() if named else np.zeros((0, 3, 3))
