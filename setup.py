@@ -9,6 +9,7 @@ from setuptools import setup
 
 ROOT = Path(__file__).resolve().parent
 # `make wheel` sets it: its wheels are to be installed elsewhere, the messages from a wheel beside this one.
+EXTRAS = ("cli", "bags", "viewer", "meshing", "mesher", "mujoco", "bullet")
 MESSAGES = "fracture-collision-msgs"
 FOR_RELEASE = "FRACTURE_COLLISION_RELEASE" in os.environ
 
@@ -32,7 +33,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
 setup(
     data_files=shared_files(),
     extras_require={
-        **{name: requirements(f"{name}.in") for name in ("cli", "bags", "viewer", "meshing", "mesher", "mujoco", "bullet")},
+        **{name: requirements(f"{name}.in") for name in EXTRAS},
         "ros": [
             *requirements("ros.in"), *requirements("nodes.in"),
             MESSAGES if FOR_RELEASE else f"{MESSAGES} @ {(ROOT / 'messages').as_uri()}",
