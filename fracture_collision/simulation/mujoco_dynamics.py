@@ -34,7 +34,7 @@ import mujoco  # noqa: E402
 
 from fracture_collision.records import ContactConstraintArray  # noqa: E402
 from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved  # noqa: E402
-from fracture_collision.simulation.engine import BodyStates, ByFragment, Planned  # noqa: E402
+from fracture_collision.simulation.engine import BodyStates, ByFragment, Planned, free_velocities  # noqa: E402
 from fracture_collision.simulation.rotations import (  # noqa: E402
     quaternion_products,
     rotation_matrices,
@@ -92,16 +92,6 @@ class _Axes(NamedTuple):
     turns: np.ndarray  # (n, 4) x y z w: body frame to principal axes
 
 
-class _Step(NamedTuple):
-    """The step between `solve` and `move`."""
-
-    given: Given
-    bodies: RigidBodies
-    searched: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
-    velocities: np.ndarray  # (n, 6) after it
-    drift: np.ndarray  # (n, 6) that corrects poses
-
-
 class _Contacts(NamedTuple):
     """The N contacts of a step between bodies of which one at least is awake."""
 
@@ -116,6 +106,18 @@ class _Contacts(NamedTuple):
     bounce_speeds: np.ndarray  # (N,) [m/s]
     rolling_arms: np.ndarray  # (N,) [m]
     sizes: np.ndarray  # (N,) R [m]
+
+
+class _Step(NamedTuple):
+    """The step between `solve` and `move`."""
+
+    given: Given
+    bodies: RigidBodies
+    searched: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
+    contacts: _Contacts
+    is_applied: np.ndarray | None  # (N,) bool: contacts whose impulses materials limit; None: none
+    velocities: np.ndarray  # (n, 6) after it
+    drift: np.ndarray  # (n, 6) that corrects poses
 
 
 class _Rows(NamedTuple):
@@ -185,13 +187,13 @@ class MujocoDynamics(SleepingWorld):
         loads = np.zeros(n + 1)
         for body in (contacts.body_a, contacts.body_b):
             np.add.at(loads, body, local[:, 0])
-        overloaded = np.flatnonzero(loads[:-1] > strengths)
+        overloaded, is_applied = np.flatnonzero(loads[:-1] > strengths), None
         if len(overloaded):
             share = np.ones(n + 1)
             share[overloaded] = strengths[overloaded] / loads[overloaded]
             share = np.minimum(share[contacts.body_a], share[contacts.body_b])
-            after *= share[:, None]
-            capped, _, _ = self._velocities(contacts, after, bodies, share < 1.0)
+            after, is_applied = share[:, None] * after, share < 1.0
+            capped, _, _ = self._velocities(contacts, after, bodies, is_applied)
             # as in solve_with_strengths: in this step poses move as if the fragments that break held
             velocities, drift = capped, drift + velocities - capped
         impulses[at] = after
@@ -201,26 +203,42 @@ class MujocoDynamics(SleepingWorld):
         pressing[at] = np.where(is_blow & (contacts.restitution > 0.0), 0.0, local[:, 0])
         self._warm_start = WarmStart(now.fragment_a, now.fragment_b, begin, now.contact_ids, impulses, rolling)
         solution = Solution(velocities, drift, normal, pressing, self._warm_start)
-        self._step = _Step(given, bodies, searched, velocities, drift + self._flight(given, bodies, solution))
+        drift += self._flight(given, bodies, solution)
+        self._step = _Step(given, bodies, searched, contacts, is_applied, velocities, drift)
         return Solved(normal, overloaded, velocities - bodies.free_velocities)
 
     def move(self) -> float:
         """As in Dynamics."""
         assert self._step is not None
-        (given, bodies, searched, v, drift), self._step = self._step, None
-        moves = v + drift
-        falls = (bodies.free_velocities - bodies.velocities)[:, :3]
-        course = Course(moves, searched, falls, np.zeros(len(v), bool))
+        step, self._step = self._step, None
+        given, v = step.given, step.velocities
+        moves = v + step.drift
+        falls = (step.bodies.free_velocities - step.bodies.velocities)[:, :3]
+        course = Course(moves, step.searched, falls, np.zeros(len(v), bool))
         shares = shares_of_step(
             given.states, given.contacts, course, given.traits.forms, self._settings, self._time_step
         )
-        held = shares < 1.0
-        if held.any():  # what waits does not fall
-            v[held, :3] -= (1.0 - shares[held, None]) * falls[held]
+        if (shares < 1.0).any():
+            v = self._until(step, shares * self._time_step)
         drift = shares[:, None] * moves - v
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         self._rest_after(given, v + drift)
         return 0.0
+
+    def _until(self, step: _Step, spans: np.ndarray) -> np.ndarray:
+        """Velocities (n, 6) with gravity for the times `spans` (n,) [s] only: what waits gains no energy by it."""
+        states, bodies = step.given.states, step.bodies
+        free = free_velocities(bodies.velocities, states.inertias, self._gravity, spans)
+        bodies = bodies._replace(free_velocities=free, spans=spans)
+        self._put_bodies(states, bodies)
+        impulses = self._warm_start.impulses
+        rows = step.contacts.rows
+        velocities, _, local = self._velocities(step.contacts, impulses[rows], bodies, step.is_applied)
+        found = np.einsum("nk,nkj->nj", local, step.contacts.frames)
+        impulses[rows] = found if step.is_applied is None else np.where(
+            step.is_applied[:, None], impulses[rows], found
+        )  # fmt: skip
+        return velocities
 
     def _compile(self, count: int) -> None:
         """Make a model of `count` slots."""
@@ -265,6 +283,8 @@ class MujocoDynamics(SleepingWorld):
         spins, later = turned(back, bodies.velocities[:, 3:]), turned(back, bodies.free_velocities[:, 3:])
         slots.qvel[:n, 3:] = spins
         slots.applied[:] = 0.0
+        # what moves for less than a step falls for no longer
+        slots.applied[:n, :3] = (states.masses * (bodies.spans / h - 1.0))[:, None] * self._gravity
         slots.applied[:n, 3:] = moments * (later - spins) / h + np.cross(spins, moments * spins)
         slots.warm[:n] = self._accelerations.of(ids)
 
