@@ -4,8 +4,8 @@ Once a second all settled messages go to disk, so that a killed recorder leaves 
 has the settings of the service: contacts are a function of the messages and the settings.
 
 A run that lacks steps or answers is no recording: the recorder checks the step numbers, and ends with an error if some
-are missing. States are subscribed to once the service's publisher of answers is discovered, so a simulator that waits
-for its subscribers begins with a recorder that receives the answers. DDS does not always discover a participant again
+are missing. States are subscribed to once the service has discovered this recorder, so a simulator that waits for its
+subscribers begins with a recorder that receives the answers. DDS does not always discover a participant again
 whose lease has expired.
 """
 
@@ -38,6 +38,7 @@ PROGRESS_INTERVAL = 0.1  # [s]
 FLUSH_INTERVAL = 1.0  # [s]
 FEW = 3  # Fewer steps may lack their answers: those on their way when the recording ends, or when a simulator ended.
 RECENT = 64  # answers
+LONGEST_SILENCE = 5.0  # [s] of a publisher of answers that has no parameters to be asked for
 
 # Every message here begins with a header, whose stamp follows the four bytes of CDR's encapsulation. In states and
 # answers run_id and step follow.
@@ -74,6 +75,7 @@ class RecorderNode(Node):
         self._noted_settings: str | None = None
         self._settings = ServiceSettings(self, qos.CONTACT_CONSTRAINTS.name, self._note_settings)
         self._records_states = False
+        self._service_since: float | None = None  # time.monotonic() when its publisher was discovered
         self._unanswered: set[int] = set()  # [ns] times of the steps without answers, since the first answer
         self._answered: deque[int] = deque(maxlen=RECENT)  # [ns] an answer may be taken before its states
         self._lacks_service = False  # at the last check
@@ -139,7 +141,7 @@ class RecorderNode(Node):
         while True:
             executor.spin_once(timeout_sec=PROGRESS_INTERVAL)
             now = time.monotonic()
-            if not self._records_states and self._has_service():
+            if not self._records_states and self._is_known_to_service(now):
                 self._records_states = True
                 self._record(qos.FRAGMENT_STATES)
             if self._tells_progress and now >= due and self._counts != told:
@@ -152,6 +154,18 @@ class RecorderNode(Node):
                 lacked_service, self._lacks_service = self._lacks_service, self._has_lost_service()
                 if lacked_service and self._lacks_service:
                     return
+
+    def _is_known_to_service(self, now: float) -> bool:
+        """Whether the service sends its answers here, too: it has responded to a request, or does not respond at all.
+
+        It may discover this node seconds later than the other way round.
+        """
+        if not self._has_service():
+            return False
+        self._settings.look()
+        if self._service_since is None:
+            self._service_since = now
+        return self._settings.has_answer or now > self._service_since + LONGEST_SILENCE
 
     def _has_service(self) -> bool:
         return self.count_publishers(qos.CONTACT_CONSTRAINTS.name) > 0

@@ -32,6 +32,15 @@ class ServiceSettings:
         self._asking: tuple[bytes, str] | None = None  # the publisher that gets the requests, and its node
         node.create_subscription(ParameterEvent, "/parameter_events", self._on_event, qos_profile_parameter_events)
 
+    @property
+    def has_answer(self) -> bool:
+        """Whether a publisher of the topic has responded.
+
+        It has discovered the readers that this node made before the request: DDS announces readers in order, and the
+        response's was the last.
+        """
+        return self._known is not None
+
     def look(self) -> None:
         """Sends a request to a publisher that has not responded yet. Must be called regularly."""
         publishers = self._node.get_publishers_info_by_topic(self._topic)
