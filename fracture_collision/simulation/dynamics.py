@@ -10,6 +10,7 @@ the bodies in motion; it solves their contacts and moves them. One step:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -60,6 +61,9 @@ class Dynamics(Protocol):
     def states(self) -> BodyStates:
         """Present states of all bodies, ascending by id; the same object until one changes."""
 
+    def links(self) -> Mapping[int, FrameState]:
+        """Present poses and velocities of moving parts of the engine's own, by fragment id; static for the service."""
+
     def begin(self, planned: Planned | None) -> BodyStates:
         """The states with the velocities that the service looks ahead with. May be called again before `solve`.
 
@@ -85,10 +89,16 @@ class SleepingWorld(RigidBodyWorld):
         self._rest = sleep.NOBODY
         self._touched = np.zeros(0, np.uint32), np.zeros(0, np.uint32)  # pairs of the last step
 
-    def _settle(self, given: Given) -> None:
-        """Wake and lull islands, by the contacts of a step."""
+    def links(self) -> Mapping[int, FrameState]:
+        """As in Dynamics: none."""
+        return {}
+
+    def _settle(self, given: Given, stays: np.ndarray | None = None) -> None:
+        """Wake and lull islands, by the contacts of a step; what `stays` (n,) awake, and its island, do not sleep."""
         contacts, pairs, *_ = given.contacts
         is_pushed = np.any(given.pushes, axis=1)
+        if stays is not None:
+            is_pushed |= stays
         rest = sleep.roused(self._rest, given.states.fragment_ids, self._touched, is_pushed)
         time = self._settings.sleep_time
         self._rest = sleep.settled(rest, contacts.pair_begin, pairs.body_a, pairs.body_b, time)

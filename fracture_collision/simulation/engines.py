@@ -12,5 +12,8 @@ def dynamics_of(scene: Scene, looks_ahead: bool) -> Dynamics:
     if scene.engine == MUJOCO:
         from fracture_collision.simulation.mujoco_dynamics import MujocoDynamics
 
-        return MujocoDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead)
+        file = None if scene.model is None else scene.model.file
+        ids = {body.name: i for i, body in enumerate(scene.bodies, 1)}  # see Cast
+        links = {} if scene.model is None else {name: ids[name] for name in scene.model.links}
+        return MujocoDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead, file, links)
     return OwnDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead)

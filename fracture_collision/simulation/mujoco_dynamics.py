@@ -22,6 +22,9 @@ Equal runs are equal to the last bit on one kind of processor; on another they m
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +37,14 @@ import mujoco  # noqa: E402
 
 from fracture_collision.records import ContactConstraintArray  # noqa: E402
 from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved  # noqa: E402
-from fracture_collision.simulation.engine import BodyStates, ByFragment, Planned, free_velocities  # noqa: E402
+from fracture_collision.simulation.engine import BodyStates, ByFragment, FrameState, Planned, free_velocities  # noqa: E402
+from fracture_collision.simulation.mujoco_model import (  # noqa: E402
+    name_of,
+    put_state,
+    quaternion_of,
+    read_spec,
+    state_of,
+)
 from fracture_collision.simulation.rotations import (  # noqa: E402
     quaternion_products,
     rotation_matrices,
@@ -70,8 +80,12 @@ LEAST_FRICTION = 1.0e-5
 PARKED = 1000.0
 
 
+_NO_LINKS: Mapping[str, int] = MappingProxyType({})
 # Attributes of MujocoDynamics that follow from the others.
-_OF_MUJOCO = {"_spec", "_model", "_data", "_count", "_bodies_at", "_dofs_at", "_geoms", "_slots", "_in_slots"}
+_OF_MUJOCO = {
+    "_spec", "_model", "_data", "_count", "_bodies_at", "_dofs_at", "_geoms", "_slots", "_in_slots", "_positions_at",
+    "_links", "_file", "_link_ids",
+}
 
 
 class _Slots(NamedTuple):
@@ -98,6 +112,8 @@ class _Contacts(NamedTuple):
     rows: np.ndarray  # (N,) int64 among all
     body_a: np.ndarray  # (N,) int64 rows of the bodies, n for what cannot move
     body_b: np.ndarray  # (N,) int64
+    geom_a: np.ndarray  # (N,) int64 MuJoCo's geoms of what is none of the bodies
+    geom_b: np.ndarray  # (N,) int64
     points: np.ndarray  # (N, 3) [m], midway between the witnesses
     frames: np.ndarray  # (N, 3, 3) rows: normal from a to b, two tangents
     gaps: np.ndarray  # (N,) [m] beyond the rest gap
@@ -130,30 +146,39 @@ class _Rows(NamedTuple):
 
 
 class MujocoDynamics(SleepingWorld):
-    """A Dynamics, see the module. gravity (3,) [m/s2]; time_step [s]; looks_ahead: as in OwnDynamics."""
+    """A Dynamics, see the module. gravity (3,) [m/s2]; time_step [s]; looks_ahead: as in OwnDynamics.
+
+    model: an MJCF file, whose colliding geoms are in the scene under `link_ids`, fragments by mujoco_model.name_of.
+    """
 
     def __init__(
-        self, time_step: float, gravity: np.ndarray, settings: SolverSettings, looks_ahead: bool = False
-    ) -> None:
+        self, time_step: float, gravity: np.ndarray, settings: SolverSettings, looks_ahead: bool = False,
+        model: Path | None = None, link_ids: Mapping[str, int] = _NO_LINKS,
+    ) -> None:  # fmt: skip
         super().__init__(time_step, gravity, settings)
-        self._looks_ahead = looks_ahead
+        self._looks_ahead, self._file, self._link_ids = looks_ahead, model, link_ids
         self._warm_start, self._accelerations = NO_WARM_START, ByFragment(np.zeros(0, np.uint32), np.zeros((0, 6)))
         self._axes = _Axes(np.zeros(0, np.uint32), np.zeros((0, 3)), np.zeros((0, 4)))
         self._step: _Step | None = None
-        self._spec = mujoco.MjSpec()
+        self._spec = mujoco.MjSpec() if model is None else read_spec(model)
         self._spec.memory = ARENA
         self._spec.option.timestep, self._spec.option.gravity = time_step, gravity
         world = self._spec.worldbody.add_geom()
         world.name = "world"
         _make_handle(world)
         self._count = 0
+        self._poses: np.ndarray | None = None  # accelerations that correct poses in this step, of all; None: as all
         self._compile(SLOTS)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> MujocoDynamics:
         """A copy whose MuJoCo is another one: what it holds between steps is kept here."""
         its = {name: copy.deepcopy(value, memo) for name, value in vars(self).items() if name not in _OF_MUJOCO}
-        other = MujocoDynamics(self._time_step, self._gravity, self._settings, self._looks_ahead)
+        other = MujocoDynamics(
+            self._time_step, self._gravity, self._settings, self._looks_ahead, self._file, self._link_ids
+        )
         vars(other).update(its)
+        put_state(other._data, self._model_state())
+        other._place_links()
         return other
 
     def begin(self, planned: Planned | None) -> BodyStates:
@@ -171,11 +196,11 @@ class MujocoDynamics(SleepingWorld):
     def solve(self, given: Given) -> Solved:
         """As in Dynamics."""
         searched = self._searched_of(given) if self._looks_ahead else None
-        self._settle(given)
+        self._settle(given, self._touch_links(given))
         states, n, (now, *_) = given.states, len(given.states.masses), given.contacts
         asleep, strengths = self._rest.asleep, given.traits.strengths
         bodies = self._rigid_bodies(states, given.pushes, np.full(n, self._time_step), asleep)
-        contacts = _contacts_of(now, given.contacts.pairs, asleep)
+        contacts = _contacts_of(now, given.contacts.pairs, asleep, self._geoms_of)
         begin = now.pair_begin.astype(np.int64)
         impulses, rolling = carried_impulses(
             now.fragment_a, now.fragment_b, begin, now.contact_ids, self._warm_start
@@ -221,9 +246,21 @@ class MujocoDynamics(SleepingWorld):
         if (shares < 1.0).any():
             v = self._until(step, shares * self._time_step)
         drift = shares[:, None] * moves - v
+        self._move_model()
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         self._rest_after(given, v + drift)
         return 0.0
+
+    def _move_model(self) -> None:
+        """Move the model beside the slots."""
+        if not self._dofs_at:
+            return
+        drift = None if self._poses is None else self._time_step * (self._poses - self._data.qacc)
+        mujoco.mj_Euler(self._model, self._data)
+        if drift is not None:
+            drift[self._dofs_at :] = 0.0
+            mujoco.mj_integratePos(self._model, self._data.qpos, drift, self._time_step)
+        self._place_links()
 
     def _until(self, step: _Step, spans: np.ndarray) -> np.ndarray:
         """Velocities (n, 6) with gravity for the times `spans` (n,) [s] only: what waits gains no energy by it."""
@@ -248,17 +285,20 @@ class MujocoDynamics(SleepingWorld):
             body.add_freejoint()
             body.explicitinertial, body.mass, body.inertia = True, 1.0, [1.0] * 3
             _make_handle(body.add_geom())
-        self._count, self._model = count, self._spec.compile()
+        self._model = self._spec.compile()
         option = self._model.opt
         option.integrator, option.cone = mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtCone.mjCONE_ELLIPTIC
         option.solver, option.iterations, option.tolerance = mujoco.mjtSolver.mjSOL_NEWTON, ITERATIONS, TOLERANCE
         option.ls_tolerance = 1.0e-4
-        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
+        # damping is implicit in the contacts, too: see _add_damping
+        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE | mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+        before = self._model_state() if self._count else None
+        self._count = count
         data = self._data = mujoco.MjData(self._model)
         first = self._model.body("slot 0").id
         joint = self._model.body_jntadr[first]
         q, v = self._model.jnt_qposadr[joint], self._model.jnt_dofadr[joint]
-        self._bodies_at, self._dofs_at = first, v
+        self._bodies_at, self._dofs_at, self._positions_at = first, v, q
         self._geoms = np.append(self._model.body_geomadr[first : first + count], self._model.geom("world").id)
         self._slots = _Slots(
             data.qpos[q : q + 7 * count].reshape(count, 7),
@@ -266,6 +306,34 @@ class MujocoDynamics(SleepingWorld):
               for x in (data.qvel, data.qacc, data.qacc_warmstart, data.qfrc_applied)),
         )  # fmt: skip
         self._in_slots = np.zeros(0, np.uint32)
+        named = {name_of(self._model, geom): geom for geom in range(self._model.ngeom)}
+        self._links = {fragment: named[name] for name, fragment in self._link_ids.items()}
+        if before is not None:
+            put_state(data, before)
+        self._place_links()
+
+    def _model_state(self) -> dict[str, Any]:
+        """State of the model beside the slots, which are its last dofs."""
+        return state_of(self._data, self._dofs_at, self._positions_at)
+
+    def _place_links(self) -> None:
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_comVel(self._model, self._data)
+
+    def links(self) -> dict[int, FrameState]:
+        """As in Dynamics: the geoms of the model that move."""
+        frames, velocity = {}, np.empty(6)
+        for fragment, geom in self._links.items():
+            if self._model.body_weldid[self._model.geom_bodyid[geom]]:
+                mujoco.mj_objectVelocity(
+                    self._model, self._data, mujoco.mjtObj.mjOBJ_GEOM, geom, velocity, 0
+                )  # fmt: skip
+                frames[fragment] = FrameState(
+                    self._data.geom_xpos[geom].copy(), quaternion_of(self._data.geom_xmat[geom]), velocity[3:].copy(),
+                    velocity[:3].copy(),
+                )  # fmt: skip
+        return frames
 
     def _put_bodies(self, states: BodyStates, bodies: RigidBodies) -> None:
         """Give the slots the bodies before the step, in their order, with gyroscopic torques of the midpoint rule."""
@@ -287,6 +355,20 @@ class MujocoDynamics(SleepingWorld):
         slots.applied[:n, :3] = (states.masses * (bodies.spans / h - 1.0))[:, None] * self._gravity
         slots.applied[:n, 3:] = moments * (later - spins) / h + np.cross(spins, moments * spins)
         slots.warm[:n] = self._accelerations.of(ids)
+
+    def _geoms_of(self, fragments: np.ndarray) -> np.ndarray:
+        """Geoms (p,) of the model's links among the fragments (p,), of all others the world's."""
+        geoms = np.full(len(fragments), self._geoms[-1])
+        for fragment, geom in self._links.items():
+            geoms[fragments == fragment] = geom
+        return geoms
+
+    def _touch_links(self, given: Given) -> np.ndarray:
+        """(n,) bool: bodies that the model touches. They stay awake, or it would not feel them."""
+        touch, (now, pairs, *_) = np.zeros(len(given.states.masses) + 1, bool), given.contacts
+        for fragments, others in ((now.fragment_a, pairs.body_b), (now.fragment_b, pairs.body_a)):
+            touch[others[np.isin(fragments, list(self._links))]] = True
+        return touch[:-1]
 
     def _put_masses(self, states: BodyStates) -> None:
         """Write the masses of the bodies to the model's slots, and park the rest."""
@@ -316,13 +398,14 @@ class MujocoDynamics(SleepingWorld):
         impulses (N, 3), world axes, on b: where the solver begins; is_applied (N,) bool: they are applied as they are.
         """
         model, data, n, h = self._model, self._data, len(bodies.masses), self._time_step
-        data.xfrc_applied[:] = 0.0
+        data.xfrc_applied[:], self._poses = 0.0, None
         if is_applied is not None:
             self._apply(contacts, impulses, is_applied)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_tendon(model, data)
         mujoco.mj_makeM(model, data)
+        self._add_damping()
         mujoco.mj_factorM(model, data)
         self._inject(contacts)
         if is_applied is not None:
@@ -349,6 +432,25 @@ class MujocoDynamics(SleepingWorld):
         if pose is not None:
             drift = self._after(bodies, pose) - velocities
         return velocities, drift, h * forces
+
+    def _add_damping(self) -> None:
+        """Make the damping of joints and of servos implicit: M + h D is the inertia that contacts meet.
+
+        MuJoCo's implicit integrators take it out of velocities after the contacts are solved, which then do not hold:
+        a stiff servo under a load rattles.
+        """
+        if not self._dofs_at:
+            return
+        model, data, damping = self._model, self._data, self._model.dof_damping[: self._dofs_at].copy()
+        for k in range(model.nu):
+            limits, joint = model.actuator_forcerange[k], model.actuator_trnid[k, 0]
+            force = data.actuator_force[k]  # of the last step: a motor at its limit damps nothing
+            is_limited = bool(model.actuator_forcelimited[k]) and not limits[0] < force < limits[1]
+            if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT and not is_limited:
+                gear, rate = model.actuator_gear[k, 0], -model.actuator_biasprm[k, 2]
+                damping[model.jnt_dofadr[joint]] += gear * gear * max(rate, 0.0)
+        diagonal = (model.M_rowadr + model.M_rownnz - 1)[: self._dofs_at]
+        data.M[diagonal] += self._time_step * damping
 
     def _after(self, bodies: RigidBodies, accelerations: np.ndarray) -> np.ndarray:
         """Velocities (n, 6) after the step, of slots with `accelerations` (n, 6); asleep: 0."""
@@ -388,8 +490,10 @@ class MujocoDynamics(SleepingWorld):
         to.solimp[:], to.solref[:] = (IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0), (-IMPEDANCE / h**2, -IMPEDANCE / h)
         to.solreffriction[:] = 0.0
         to.pos[:], to.frame[:], to.dist[:] = contacts.points, contacts.frames.reshape(count, 9), contacts.gaps
-        unused = len(self._geoms) - 1
-        geoms = [self._geoms[np.where(b < len(self._in_slots), b, unused)] for b in (contacts.body_a, contacts.body_b)]
+        geoms = [
+            np.where(row < len(self._in_slots), self._geoms[np.minimum(row, self._count)], geom)
+            for row, geom in ((contacts.body_a, contacts.geom_a), (contacts.body_b, contacts.geom_b))
+        ]
         to.geom[:] = np.column_stack(geoms)
         to.geom1[:], to.geom2[:] = geoms
         friction = np.maximum(contacts.friction, LEAST_FRICTION)
@@ -440,7 +544,7 @@ class MujocoDynamics(SleepingWorld):
             return found, None
         accelerations = data.qacc.copy()
         solve(for_poses)
-        poses = self._slots.qacc.copy()
+        poses, self._poses = self._slots.qacc.copy(), data.qacc.copy()
         data.qacc[:] = data.qacc_warmstart[:] = accelerations
         return found, poses[: len(self._in_slots)]
 
@@ -472,7 +576,10 @@ def _principal_axes(inertias: np.ndarray) -> np.ndarray:
     return np.hstack((moments, turns))
 
 
-def _contacts_of(contacts: ContactConstraintArray, pairs: BodyPairs, asleep: np.ndarray) -> _Contacts:
+def _contacts_of(
+    contacts: ContactConstraintArray, pairs: BodyPairs, asleep: np.ndarray,
+    geoms_of: Callable[[np.ndarray], np.ndarray],
+) -> _Contacts:  # fmt: skip
     counts: np.ndarray = np.diff(contacts.pair_begin.astype(np.int64))
 
     def each(values: np.ndarray) -> np.ndarray:
@@ -480,6 +587,7 @@ def _contacts_of(contacts: ContactConstraintArray, pairs: BodyPairs, asleep: np.
 
     flat = _Contacts(
         np.arange(len(contacts.gaps)), each(pairs.body_a), each(pairs.body_b),
+        each(geoms_of(contacts.fragment_a)), each(geoms_of(contacts.fragment_b)),
         0.5 * (contacts.points_a + contacts.points_b), _frames_of(contacts.normals), contacts.gaps - pairs.rest_gaps,
         each(contacts.friction), each(contacts.restitution), each(pairs.bounce_speeds), each(pairs.rolling_arm),
         each(pairs.sizes),

@@ -144,7 +144,8 @@ class Simulation:
             states = self.dynamics.states()
             self._planned = planned(states.fragment_ids, self._pushes(states), self._taken)
         searched = self.dynamics.begin(self._planned)
-        others = self._cast.static_frames | {i: self._falling(frame) for i, frame in self._cast.waiting.items()}
+        waiting = {i: self._falling(frame) for i, frame in self._cast.waiting.items()}
+        others = self._cast.static_frames | waiting | dict(self.dynamics.links())
         requested = fragment_states(self._step, self._sequence, searched, others)
         self._requested = requested._replace(body_sequence=self._cast.body_sequence)
         return StepRequest(self._requested, self._cast.take_news(), list(self._events))

@@ -86,6 +86,13 @@ class SceneBody(NamedTuple):
         return self
 
 
+class Model(NamedTuple):
+    """A MuJoCo model in a scene, with the engine mujoco."""
+
+    file: Path  # MJCF
+    links: tuple[str, ...]  # the scene's bodies that are its geoms
+
+
 class Scene(NamedTuple):
     """A scene: its bodies, and all settings of the simulation."""
 
@@ -99,6 +106,7 @@ class Scene(NamedTuple):
     hand: Hand | None = None  # that drags bodies
     arm: Arm | None = None  # its parts are among the bodies, under the names of arm.PARTS
     engine: str = OWN  # of ENGINES
+    model: Model | None = None
 
     @property
     def step_count(self) -> int:
@@ -175,6 +183,14 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
     for body_name in names:
         if names.count(body_name) > 1:
             raise SceneError(f"bodies: the name {quoted(body_name)} occurs {names.count(body_name)} times")
+    engine = known_engine(root.text("engine", f"what solves contacts: {' or '.join(ENGINES)}", OWN))
+    model = root.take("model", "a MuJoCo model that stands in the scene; needs engine: mujoco", None, "fields")
+    if model is not None:
+        if engine != MUJOCO:
+            raise SceneError(f"model: needs engine: {MUJOCO}")
+        model_fields = Fields(model, "model")
+        links = _model_bodies(model_fields, _material_of(model_fields, materials), folder)
+        model, bodies = Model(links[0], tuple(body.name for body in links[1])), bodies + links[1]
     hand = root.take("hand", "a hand that takes hold of bodies and drags them", None, "fields")
     if hand is not None:
         hand = parse_hand(Fields(hand, "hand"), folder, dragged)
@@ -188,7 +204,8 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         bodies=bodies,
         hand=hand,
         arm=arm,
-        engine=known_engine(root.text("engine", f"what solves contacts: {' or '.join(ENGINES)}", OWN)),
+        engine=engine,
+        model=model,
     )
     root.finish()
     if scene.duration > MAX_STEPS * scene.time_step:
@@ -256,6 +273,21 @@ def _material_of(fields: Fields, materials: Mapping[str, Material]) -> Material:
     if name not in materials:
         raise SceneError(f"{fields.name('material')}: {quoted(name)} is none of {', '.join(materials)}")
     return materials[name]
+
+
+def _model_bodies(
+    fields: Fields, material: Material, folder: Path | None
+) -> tuple[Path, tuple[SceneBody, ...]]:  # fmt: skip
+    """The file of a MuJoCo model, and its geoms that collide as bodies."""
+    from fracture_collision.simulation.mujoco_model import links_of  # late: of an extra
+
+    file = (folder or Path()) / fields.text("file", "name of its MJCF file beside the scene")
+    fields.finish()
+    still, material = np.zeros(3), material._replace(fracture=None)
+    return file, tuple(
+        SceneBody(link.name, link.shape, material, True, link.position, link.orientation, 0.0, still, still)
+        for link in links_of(file)
+    )
 
 
 def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
