@@ -1,10 +1,10 @@
-"""The engines by name."""
+"""The engines by name, and scenes with another than their own."""
 
 from __future__ import annotations
 
 from fracture_collision.simulation.dynamics import Dynamics
 from fracture_collision.simulation.own_dynamics import OwnDynamics
-from fracture_collision.simulation.scene.scene import MUJOCO, Scene
+from fracture_collision.simulation.scene.scene import MUJOCO, Scene, SceneError, known_engine
 
 
 def dynamics_of(scene: Scene, looks_ahead: bool) -> Dynamics:
@@ -17,3 +17,13 @@ def dynamics_of(scene: Scene, looks_ahead: bool) -> Dynamics:
         links = {} if scene.model is None else {name: ids[name] for name in scene.model.links}
         return MujocoDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead, file, links)
     return OwnDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead)
+
+
+def with_engine(scene: Scene, engine: str | None) -> Scene:
+    """The scene with this engine; None or "": its own. Raises SceneError, and MissingExtra if it is not installed."""
+    if engine:
+        scene = scene._replace(engine=known_engine(engine))
+        if scene.model is not None and scene.engine != MUJOCO:
+            raise SceneError(f"engine: {scene.name} has a MuJoCo model, which needs {MUJOCO}, not {engine}")
+    dynamics_of(scene, False).close()
+    return scene

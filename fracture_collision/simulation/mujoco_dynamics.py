@@ -268,13 +268,14 @@ class MujocoDynamics(SleepingWorld):
         free = free_velocities(bodies.velocities, states.inertias, self._gravity, spans)
         bodies = bodies._replace(free_velocities=free, spans=spans)
         self._put_bodies(states, bodies)
-        impulses = self._warm_start.impulses
+        impulses, poses = self._warm_start.impulses, self._poses
         rows = step.contacts.rows
-        velocities, _, local = self._velocities(step.contacts, impulses[rows], bodies, step.is_applied)
+        velocities, _, local = self._velocities(step.contacts, impulses[rows], bodies, step.is_applied, False)
         found = np.einsum("nk,nkj->nj", local, step.contacts.frames)
         impulses[rows] = found if step.is_applied is None else np.where(
             step.is_applied[:, None], impulses[rows], found
         )  # fmt: skip
+        self._poses = poses
         return velocities
 
     def _compile(self, count: int) -> None:
@@ -391,7 +392,8 @@ class MujocoDynamics(SleepingWorld):
         self._in_slots = ids
 
     def _velocities(
-        self, contacts: _Contacts, impulses: np.ndarray, bodies: RigidBodies, is_applied: np.ndarray | None = None
+        self, contacts: _Contacts, impulses: np.ndarray, bodies: RigidBodies, is_applied: np.ndarray | None = None,
+        corrects: bool = True,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Velocities (n, 6) after the step, those that correct poses, and impulses (N, 3) [N s] along the frames.
 
@@ -423,7 +425,7 @@ class MujocoDynamics(SleepingWorld):
         forces, pose = np.zeros((len(contacts.rows), 3)), None
         if len(chosen):
             picked = _Contacts._make(column[chosen] for column in contacts)
-            forces[chosen], pose = self._solve_rounds(picked, chosen, impulses[chosen] / h)
+            forces[chosen], pose = self._solve_rounds(picked, chosen, impulses[chosen] / h, corrects)
         else:
             mujoco.mj_fwdConstraint(model, data)
         self._accelerations = ByFragment(self._in_slots, self._slots.qacc[:n].copy())
@@ -501,11 +503,11 @@ class MujocoDynamics(SleepingWorld):
         to.friction[:] = np.column_stack((friction, friction, arms, arms, arms))
 
     def _solve_rounds(
-        self, contacts: _Contacts, chosen: np.ndarray, forces: np.ndarray
+        self, contacts: _Contacts, chosen: np.ndarray, forces: np.ndarray, corrects: bool
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Forces (N, 3) [N] along the frames, and accelerations (n, 6) of what corrects poses, None: as all.
 
-        chosen (N,): the contacts' numbers in MuJoCo; forces (N, 3) [N], world axes: where it begins.
+        chosen (N,): the contacts' numbers in MuJoCo; forces (N, 3) [N], world axes: where it begins; corrects: poses.
         """
         model, data, h = self._model, self._data, self._time_step
         normal = data.contact.efc_address[chosen]
@@ -540,7 +542,7 @@ class MujocoDynamics(SleepingWorld):
                 break
             slip, pressed = slips, presses
         found = np.column_stack([data.efc_force[normal + k] for k in range(3)])
-        if not (for_poses > least).any():
+        if not corrects or not (for_poses > least).any():
             return found, None
         accelerations = data.qacc.copy()
         solve(for_poses)

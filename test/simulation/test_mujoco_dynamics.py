@@ -10,8 +10,8 @@ import pytest
 from worlds.small_scenes import GROUND, ball, box, brick, small_scene
 
 from fracture_collision.lockstep import Lockstep
+from fracture_collision.simulation.engines import with_engine
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, parse_scene
-from fracture_collision.simulation.scene.scene_changes import with_engine
 from fracture_collision.world import Settings
 
 mujoco = pytest.importorskip("mujoco", reason="no wheels for Python 3.10")
