@@ -16,6 +16,8 @@ from rich.table import Column, Table
 
 from benchmarks.scene_seeds.judging import EPSILON, ROUNDING, SPEED_AT_REST, Verdict, judged
 from benchmarks.studies.scene_trials import CURVATURE, scene_with
+from fracture_collision.extras import MissingExtra
+from fracture_collision.simulation.engines import with_engine
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, scene_files
 from fracture_collision.simulation.scene.scene_changes import random_drop
 from fracture_collision.world import Settings
@@ -60,8 +62,8 @@ def scene_of(name: str, cracks: str, seed: int) -> Scene:
     return random_drop(scene, seed) if name in DROPPED else nudged(scene, seed)
 
 
-def run_of(name: str, cracks: str, seed: int) -> Run:
-    scene = scene_of(name, cracks, seed)
+def run_of(name: str, cracks: str, seed: int, engine: str | None = None) -> Run:
+    scene = with_engine(scene_of(name, cracks, seed), engine)
     return Run(name, cracks, seed, judged(scene, Settings(threads=1, lookahead=scene.time_step), seed))
 
 
@@ -136,8 +138,11 @@ Examples:
 @click.option("--seeds", default=10, show_default=True, type=click.IntRange(min=1), help="Of each scene.")
 @click.option("--first", default=0, show_default=True, type=click.IntRange(min=0), help="The first seed.")
 @click.option("--cracks", default=OWN, show_default=True, help=f"Of {OWN} (the scene's), {', '.join(CURVATURE)}.")
+@click.option("--engine", help="That solves contacts: own or mujoco.  [default: the scene's]")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="File for a row per run.")
-def main(scenes: tuple[str, ...], seeds: int, first: int, cracks: str, csv_path: Path | None) -> None:
+def main(
+    scenes: tuple[str, ...], seeds: int, first: int, cracks: str, engine: str | None, csv_path: Path | None
+) -> None:  # fmt: skip
     """Run scenes to their end with many seeds and judge each run.
 
     SCENES are those that `fracture-collision scenes` lists, also NAME:VARIANT; all of them unless given. Each runs at
@@ -148,12 +153,12 @@ def main(scenes: tuple[str, ...], seeds: int, first: int, cracks: str, csv_path:
         raise click.ClickException(f"--cracks {', '.join(sorted(unknown))}: none of {', '.join((OWN, *CURVATURE))}")
     try:
         for name in names:
-            load_scene(name)
-    except SceneError as error:
+            with_engine(load_scene(name), engine)
+    except (SceneError, MissingExtra) as error:
         raise click.ClickException(str(error)) from error
     cases = list(product(names, cracks.split(","), range(first, first + seeds)))
     progress = Console(stderr=True)
-    runs = [run_of(*case) for case in track(cases, "runs", console=progress)]
+    runs = [run_of(*case, engine) for case in track(cases, "runs", console=progress)]
     console = Console()
     console.width = max(console.width, WIDTH)
     console.print(table_of(runs))

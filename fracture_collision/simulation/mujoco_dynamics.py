@@ -35,6 +35,7 @@ need("mujoco", "the engine MuJoCo")
 
 import mujoco  # noqa: E402
 
+from fracture_collision.portable_math import dots  # noqa: E402
 from fracture_collision.records import ContactConstraintArray  # noqa: E402
 from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved  # noqa: E402
 from fracture_collision.simulation.engine import BodyStates, ByFragment, FrameState, Planned, free_velocities  # noqa: E402
@@ -134,6 +135,7 @@ class _Step(NamedTuple):
     is_applied: np.ndarray | None  # (N,) bool: contacts whose impulses materials limit; None: none
     velocities: np.ndarray  # (n, 6) after it
     drift: np.ndarray  # (n, 6) that corrects poses
+    flight: np.ndarray  # (n, 6) drift of bodies in free flight
 
 
 class _Rows(NamedTuple):
@@ -228,16 +230,16 @@ class MujocoDynamics(SleepingWorld):
         pressing[at] = np.where(is_blow & (contacts.restitution > 0.0), 0.0, local[:, 0])
         self._warm_start = WarmStart(now.fragment_a, now.fragment_b, begin, now.contact_ids, impulses, rolling)
         solution = Solution(velocities, drift, normal, pressing, self._warm_start)
-        drift += self._flight(given, bodies, solution)
-        self._step = _Step(given, bodies, searched, contacts, is_applied, velocities, drift)
+        flight = self._flight(given, bodies, solution)
+        self._step = _Step(given, bodies, searched, contacts, is_applied, velocities, drift, flight)
         return Solved(normal, overloaded, velocities - bodies.free_velocities)
 
     def move(self) -> float:
-        """As in Dynamics."""
+        """As in Dynamics: drift correction adds energy where it lifts bodies."""
         assert self._step is not None
         step, self._step = self._step, None
         given, v = step.given, step.velocities
-        moves = v + step.drift
+        moves = v + step.drift + step.flight
         falls = (step.bodies.free_velocities - step.bodies.velocities)[:, :3]
         course = Course(moves, step.searched, falls, np.zeros(len(v), bool))
         shares = shares_of_step(
@@ -249,7 +251,8 @@ class MujocoDynamics(SleepingWorld):
         self._move_model()
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         self._rest_after(given, v + drift)
-        return 0.0
+        lifts = shares * self._time_step * dots(step.drift[:, :3], self._gravity)
+        return -float((given.states.masses * lifts).sum())
 
     def _move_model(self) -> None:
         """Move the model beside the slots."""

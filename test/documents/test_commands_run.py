@@ -49,6 +49,7 @@ SLOW = (
     "python -m benchmarks.scene_seeds pane --seeds 1",
     "fracture-collision film out/smash/bag",
     "fracture-collision scene drop_bunnies",
+    "fracture-collision scene pane --engine mujoco",
     "python benchmarks/numerics.py",
     "python benchmarks/certificate.py",
     "python benchmarks/field_errors.py",
@@ -72,7 +73,8 @@ NOT_RUN = {
     r"python -m campaigns\.late_floor": "is a campaign",
     r"python -m benchmarks\.elementary( --engines ours,rapier,mujoco)?": "its scenes are those of test_elementary",
     r"python -m benchmarks\.random_pairs": "its kinds of pairs are those of test_random_pairs",
-    r"python -m benchmarks\.scene_seeds( --csv docs/scene_seeds\.csv)?": "takes minutes: one scene is run",
+    r"python -m benchmarks\.scene_seeds( --csv docs/scene_seeds\.csv| --engine mujoco)?": "minutes: one scene is run",
+    r"python -m benchmarks\.engines --csv docs/engines\.csv": "takes minutes: test_mujoco_dynamics runs a scene",
     r"python -m benchmarks\.random_drops": "takes half an hour: test_random_pairs runs some",
 }  # fmt: skip
 
