@@ -74,6 +74,7 @@ NOT_RUN = {
     r"python -m benchmarks\.elementary( --engines ours,rapier,mujoco)?": "its scenes are those of test_elementary",
     r"python -m benchmarks\.random_pairs": "its kinds of pairs are those of test_random_pairs",
     r"python -m benchmarks\.scene_seeds( --csv docs/scene_seeds\.csv| --engine mujoco)?": "minutes: one scene is run",
+    r"python -m benchmarks\.contact_count --csv docs/contact_count\.csv": "takes minutes",
     r"python -m benchmarks\.engines --csv docs/engines\.csv": "takes minutes: test_mujoco_dynamics runs a scene",
     r"python -m benchmarks\.random_drops": "takes half an hour: test_random_pairs runs some",
 }  # fmt: skip
