@@ -41,6 +41,8 @@ BEFORE_SHAPE = 2
 _types_of_arrays: dict[tuple, types.Type] = {}
 _types_of_numbers: dict[type, types.Type] = {}
 _struct_types: dict[tuple, StructType] = {}
+_by_members: dict[tuple, StructType] = {}
+_kept: list[tuple] = []
 
 
 @dataclass_transform(eq_default=False, frozen_default=True)
@@ -92,9 +94,14 @@ class StructType(types.Type):
 
 
 def _struct_type(of: type, members: tuple[tuple[str, types.Type], ...]) -> StructType:
-    if (of, members) not in _struct_types:
-        _struct_types[of, members] = StructType(of, members)
-    return _struct_types[of, members]
+    """The only one of its kind. Known by its members' identities, which are quicker than numba's hashes."""
+    key = (of, *(id(kind) for _, kind in members))
+    found = _struct_types.get(key)
+    if found is None:
+        found = _by_members.setdefault((of, members), StructType(of, members))
+        _struct_types[key] = found
+        _kept.append(members)  # or the identities might be given to others
+    return found
 
 
 def _type_of(value: Any) -> types.Type:

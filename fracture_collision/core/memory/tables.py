@@ -167,6 +167,8 @@ class Table(Generic[Made]):
             self._columns[name] = column = hint.__metadata__[0]
             if column.seen_in is None:
                 self._arrays[name] = GrowableArray(column.width, column.type, self._changed)
+        self._all = [(name, self._columns[name], array) for name, array in self._arrays.items()]
+        self._all += [each for table in self.tables.values() for each in table._all]
         self._view: Made | None = None
         self._whole: Made | None = None
 
@@ -217,12 +219,9 @@ class Table(Generic[Made]):
                 values[name] = values[name].reshape(column.shape)
         return self._made(**values)
 
-    def all_columns(self) -> Iterator[tuple[str, Column, GrowableArray]]:
+    def all_columns(self) -> list[tuple[str, Column, GrowableArray]]:
         """Name, Column and rows of each column, those of the tables within too."""
-        for name, array in self._arrays.items():
-            yield name, self._columns[name], array
-        for table in self.tables.values():
-            yield from table.all_columns()
+        return self._all
 
     @property
     def bytes_used(self) -> int:
