@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import signal
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -238,3 +239,16 @@ def test_tables_show_figures_of_the_paper_where_it_has_any():
 @pytest.mark.parametrize("name", sorted(PAPER))
 def test_every_scene_with_a_figure_in_the_paper_exists(name):
     assert load_scene(name).name == name
+
+
+def test_another_engine_runs_a_scene_and_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="no wheels for Python 3.10")
+    done = call("pane", "--steps", "4", "--no-pictures", "--engine", "mujoco", "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["engine"] == "mujoco"
+    done = call("pane", "--engine", "mujco", "--out", tmp_path / "none")
+    assert done.exit_code == 2 and "did you mean mujoco?" in done.output
+    monkeypatch.setattr("fracture_collision.extras.find_spec", lambda _: None)
+    monkeypatch.delitem(sys.modules, "fracture_collision.simulation.mujoco_dynamics")
+    done = call("pane", "--engine", "mujoco", "--out", tmp_path / "none")
+    assert done.exit_code == 2 and "pip install '.[mujoco]'" in done.output
