@@ -20,6 +20,7 @@ from fracture_collision.records import BOX, CONE, CYLINDER, SPHERE, CollisionBod
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
 from fracture_collision.simulation.actors.hand import Hand, parse_hand
+from fracture_collision.simulation.actors.robot import RobotPlan, parse_robot
 from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, quoted, read_yaml
 from fracture_collision.simulation.config.shapes import Shape, parse_shape
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
@@ -99,6 +100,7 @@ class Scene(NamedTuple):
     hand: Hand | None = None  # that drags bodies
     arm: Arm | None = None  # its parts are among the bodies, under the names of arm.PARTS
     engine: str = OWN  # of ENGINES
+    robot: RobotPlan | None = None  # its collision shapes are among the bodies, under the names of its `shapes`
 
     @property
     def step_count(self) -> int:
@@ -171,6 +173,12 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         material = _material_of(arm_fields, materials)
         arm = parse_arm(arm_fields, folder)
         bodies += _arm_bodies(arm, material)
+    robot = root.take("robot", "a robot from a URDF file, moved by PyBullet", None, "fields")
+    if robot is not None:
+        robot_fields = Fields(robot, "robot")
+        material = _material_of(robot_fields, materials)
+        robot = parse_robot(robot_fields, folder)
+        bodies += _robot_bodies(robot, material)
     names = [body.name for body in bodies]
     for body_name in names:
         if names.count(body_name) > 1:
@@ -189,8 +197,10 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         hand=hand,
         arm=arm,
         engine=known_engine(root.text("engine", f"what solves contacts: {' or '.join(ENGINES)}", OWN)),
+        robot=robot,
     )
     root.finish()
+    require_engine_for_robot(scene)
     if scene.duration > MAX_STEPS * scene.time_step:
         raise SceneError(f"duration: {scene.duration} s are more than {MAX_STEPS} steps of {scene.time_step} s")
     return scene
@@ -201,6 +211,12 @@ def known_engine(name: str) -> str:
     if name not in ENGINES:
         raise SceneError(f"engine: {quoted(name)} is none of {', '.join(ENGINES)}{did_you_mean(name, ENGINES)}")
     return name
+
+
+def require_engine_for_robot(scene: Scene) -> None:
+    """Raise SceneError if the scene has a robot, and an engine that cannot have one."""
+    if scene.robot is not None and scene.engine != OWN:
+        raise SceneError(f"engine: {scene.engine} has no robots: a scene with a robot needs the engine {OWN}")
 
 
 def _find(name: str) -> tuple[Path, str]:
@@ -269,6 +285,17 @@ def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
             np.zeros(3),
         )
         for part, (center, turn) in zip(PARTS, places, strict=True)
+    )  # fmt: skip
+
+
+def _robot_bodies(robot: RobotPlan, material: Material) -> tuple[SceneBody, ...]:
+    """The robot's collision shapes as bodies, at the start."""
+    return tuple(
+        SceneBody(
+            part.body, part.shape, material._replace(fracture=None), part.is_static, position, orientation, 0.0,
+            np.zeros(3), np.zeros(3),
+        )
+        for part, (position, orientation) in zip(robot.shapes, robot.start_frames(), strict=True)
     )  # fmt: skip
 
 
