@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from fracture_collision.simulation.actors.robot import Robot
 from fracture_collision.simulation.cast import Traits
 from fracture_collision.simulation.engine import (
     BodyStates,
@@ -60,6 +61,9 @@ class Dynamics(Protocol):
     def states(self) -> BodyStates:
         """Present states of all bodies, ascending by id; the same object until one changes."""
 
+    def carry(self, robot: Robot) -> None:
+        """Let a robot move its bodies from now on. ValueError if the engine has no robots."""
+
     def begin(self, planned: Planned | None) -> BodyStates:
         """The states with the velocities that the service looks ahead with. May be called again before `solve`.
 
@@ -85,10 +89,14 @@ class SleepingWorld(RigidBodyWorld):
         self._rest = sleep.NOBODY
         self._touched = np.zeros(0, np.uint32), np.zeros(0, np.uint32)  # pairs of the last step
 
+    def _never_at_rest(self, states: BodyStates) -> np.ndarray:
+        """(n,) bool: bodies that do not sleep, nor what they touch."""
+        return np.zeros(len(states.masses), bool)
+
     def _settle(self, given: Given) -> None:
         """Wake and lull islands, by the contacts of a step."""
         contacts, pairs, *_ = given.contacts
-        is_pushed = np.any(given.pushes, axis=1)
+        is_pushed = np.any(given.pushes, axis=1) | self._never_at_rest(given.states)
         rest = sleep.roused(self._rest, given.states.fragment_ids, self._touched, is_pushed)
         time = self._settings.sleep_time
         self._rest = sleep.settled(rest, contacts.pair_begin, pairs.body_a, pairs.body_b, time)

@@ -33,6 +33,7 @@ need("mujoco", "the engine MuJoCo")
 import mujoco  # noqa: E402
 
 from fracture_collision.records import ContactConstraintArray  # noqa: E402
+from fracture_collision.simulation.actors.robot import Robot  # noqa: E402
 from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved  # noqa: E402
 from fracture_collision.simulation.engine import BodyStates, ByFragment, Planned  # noqa: E402
 from fracture_collision.simulation.rotations import (  # noqa: E402
@@ -153,6 +154,10 @@ class MujocoDynamics(SleepingWorld):
         other = MujocoDynamics(self._time_step, self._gravity, self._settings, self._looks_ahead)
         vars(other).update(its)
         return other
+
+    def carry(self, robot: Robot) -> None:
+        """As in Dynamics: it has none."""
+        raise ValueError("the engine mujoco has no robots of URDF files")
 
     def begin(self, planned: Planned | None) -> BodyStates:
         """As in Dynamics."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 from xml.etree import ElementTree
 
 import numpy as np
@@ -255,11 +255,12 @@ def _joint(element: ElementTree.Element) -> Joint:
     size = float(lengths(axis))
     if not size > 0.0:
         raise ValueError(f"joint {name}: its axis is 0")
-    ends = [part.get("link", "") for key in ("parent", "child") for part in element.findall(key)]
-    if len(ends) != 2:
+    parent, child = element.find("parent"), element.find("child")
+    if parent is None or child is None:
         raise ValueError(f"joint {name}: needs a parent and a child link")
     damping = float(_numbers(element.find("dynamics"), "damping", (0.0,))[0])
-    return Joint(name, kind, *ends, *_origin(element), axis / size, damping)
+    ends = parent.get("link", ""), child.get("link", "")
+    return Joint(name, kind, *ends, *_origin(element), axis=axis / size, damping=damping)
 
 
 def _origin(element: ElementTree.Element) -> _Frame:
@@ -321,7 +322,7 @@ def _hull(file: Path, scale: np.ndarray) -> Shape:
     need("meshing", "a robot whose links have meshes")
     import trimesh
 
-    mesh = trimesh.load(file, force="mesh")
+    mesh: Any = trimesh.load(file, force="mesh")
     mesh.apply_scale(scale)
     hull = mesh.convex_hull
     return Shape("hull", surface=(np.array(hull.vertices, np.float64), np.array(hull.faces, np.int64)))
