@@ -125,7 +125,8 @@ class BulletRobot:
         pybullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1, numSubSteps=0, **at)
         plan = self._plan
         robot = self._robot = pybullet.loadURDF(
-            str(plan.urdf), plan.position.tolist(), plan.orientation.tolist(), useFixedBase=True, **at
+            str(plan.urdf), plan.position.tolist(), plan.orientation.tolist(), useFixedBase=True,
+            flags=pybullet.URDF_USE_INERTIA_FROM_FILE, **at,
         )
         told = [pybullet.getJointInfo(robot, j, **at) for j in range(pybullet.getNumJoints(robot, **at))]
         numbers, links = ({row[column].decode(): row[0] for row in told} for column in (1, 12))
