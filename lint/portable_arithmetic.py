@@ -2,8 +2,8 @@
 
 In core, world, geometry, fracture, meshing and simulation this forbids BLAS and LAPACK (`numpy.linalg`, `dot`, `@`,
 ...), elementary functions of numpy, of `math` and of numba (which calls libm for both), powers (except integer ones in
-kernels), normally distributed numbers, sorts that leave the order of equal keys open, scipy and engines. Replacements are in
-fracture_collision/portable_math.py. EXCEPTIONS lists permitted cases, with the reason.
+kernels), normally distributed numbers, sorts that leave the order of equal keys open, scipy and engines. Replacements
+are in fracture_collision/portable_math.py. EXCEPTIONS lists permitted cases, with the reason.
 
     python -m lint.portable_arithmetic
 """

@@ -119,7 +119,8 @@ class OwnDynamics(SleepingWorld):
                 self._robot, bodies, contacts, pairs, self._warm_start, settings, given.traits.strengths,
                 self._robot_rows(states),
             )  # fmt: skip
-            bodies, contacts, pairs, _, _, solution, overloaded, limits, _ = with_robot
+            bodies, contacts, pairs, *_ = with_robot
+            solution, overloaded, limits = with_robot.solution, with_robot.overloaded, with_robot.limits
         flight = self._flight(given, bodies, solution)
         solved = contacts, pairs
         self._step = _Step(given, bodies, searched, solution, limits, flight, solved, with_robot)
@@ -140,8 +141,8 @@ class OwnDynamics(SleepingWorld):
             course, contacts = self._beside_robot(step, course)
             moves = course.moves
         self.shares = shares_of_step(states, contacts, course, forms, settings, time_step)
-        if self._robot is not None:
-            self.shares[self._robot_rows(states)] = 1.0
+        if step.robot is not None:
+            self.shares[step.robot.beside[:-1]] = 1.0
         moved, drifting = self.shares * bodies.spans, solution.drift
         if (self.shares < 1.0).any():
             solution = self._solved_until(moved, step)
@@ -265,25 +266,20 @@ class OwnDynamics(SleepingWorld):
         return bodies._replace(masses=masses, inertias=inertias, free_velocities=free)
 
     def _beside_robot(self, step: _Step, course: Course) -> tuple[Course, StepContacts]:
-        """The course with the robot's own moves, and the contacts by which bodies wait for each other.
+        """The course with the robot's own moves, and the contacts by which bodies wait for each other: none beside it.
 
-        A robot waits for nothing. What it strikes, no search expected there: it goes, or the robot would enter it.
+        There nothing was searched along the course after a blow; but what waited, the robot would enter.
         """
         assert self._robot is not None and step.robot is not None
         states, (now, pairs, *_), moves = step.given.states, step.given.contacts, course.moves.copy()
-        rows, is_robot = self._robot_rows(states), np.append(self._is_robot(states), False)
-        impulses = step.solution.warm_start.impulses
-        moves[rows] = self._robot_moves(states, rows, self._robot.trial(step.robot.pushes(impulses)))
-        of_robot = is_robot[pairs.body_a] | is_robot[pairs.body_b]
-        counts: np.ndarray = np.diff(now.pair_begin)
-        each = np.repeat(of_robot, counts)
-        hit = np.zeros(len(is_robot), bool)
-        for body in (pairs.body_a, pairs.body_b):
-            hit[np.repeat(body, counts)[each & (step.solution.normal_impulses > 0.0)]] = True
+        rows, beside = self._robot_rows(states), step.robot.beside
+        pushes = step.robot.pushes(step.solution.warm_start.impulses)
+        moves[rows] = self._robot_moves(states, rows, self._robot.trial(pushes))
         searched = course.searched
         if searched is not None:
-            searched = np.where((hit | is_robot)[:-1, None], moves, searched)
-        others = chosen_contacts(now, ~each, ~of_robot)
-        its = BodyPairs._make([*(column[~of_robot] for column in pairs[:-1]), pairs.rest_gaps[~each]])
-        contacts = step.given.contacts._replace(now=others, pairs=its)
+            searched = np.where(beside[:-1, None], moves, searched)
+        waits = ~(beside[pairs.body_a] | beside[pairs.body_b])
+        each = np.repeat(waits, np.diff(now.pair_begin))
+        its = BodyPairs._make([*(column[waits] for column in pairs[:-1]), pairs.rest_gaps[each]])
+        contacts = step.given.contacts._replace(now=chosen_contacts(now, each, waits), pairs=its)
         return course._replace(moves=moves, searched=searched), contacts

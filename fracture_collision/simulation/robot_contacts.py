@@ -16,8 +16,9 @@ motors saturate.
 What a robot does is not only its links' own: where two are touched at once, one learns of the other's contacts by the
 passes alone. The row does not turn, so a torque about p is borne, but changes nothing.
 
-Links do not wait for a touch within a step, as bodies do (`touch_ahead`). So contacts that lie ahead are solved with
-the others: a slow one may close within the step, no further; a blow comes at once, as a whole.
+A robot waits for no touch within a step, as bodies do (`touch_ahead`), and it would enter bodies that wait. So whatever
+contacts connect with it does not wait either (`beside_robot`). There, contacts that lie ahead are solved with the
+others: a slow one may close within the step, no further; a blow comes at once, as a whole.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.actors.robot import Push, Robot
 from fracture_collision.simulation.engine import BodyStates, FrameState, rows_of
 from fracture_collision.simulation.rotations import crossed
+from fracture_collision.simulation.solver.contact_islands import islands_of
 from fracture_collision.simulation.solver.contact_solver import (
     BodyPairs,
     RigidBodies,
@@ -69,6 +71,7 @@ class RobotStep(NamedTuple):
     bodies: RigidBodies  # the robot's as the solver has them
     contacts: ContactConstraintArray  # with the gaps of blows closed
     pairs: BodyPairs  # all shapes of a link as one body
+    beside: np.ndarray  # (n + 1,) bool: bodies that contacts connect with the robot, and its own
     touched: tuple[Touched, ...]
     points: np.ndarray  # (N, 3) [m] where contacts act
     solution: Solution
@@ -86,6 +89,21 @@ def robot_rows(robot: Robot, states: BodyStates) -> np.ndarray:
     return rows_of(robot.fragment_ids, states.fragment_ids)
 
 
+def beside_robot(
+    rows: np.ndarray, begin: np.ndarray, body_a: np.ndarray, body_b: np.ndarray, count: int
+) -> np.ndarray:
+    """(count + 1,) bool: which of `count` bodies contacts connect with the robot's, whose rows (m,) are these.
+
+    begin (p + 1,), body_a, body_b (p,): contacts by pairs of rows, `count` for what cannot move.
+    """
+    found = np.zeros(count + 1, bool)
+    found[rows] = True
+    islands = islands_of(begin, body_a, body_b, count)
+    its = np.repeat(np.arange(len(islands.body_begin) - 1), np.diff(islands.body_begin))
+    found[islands.bodies[np.isin(its, its[found[islands.bodies]])]] = True
+    return found
+
+
 def solve_with_robot(
     robot: Robot, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, warm_start: WarmStart,
     settings: SolverSettings, strengths: np.ndarray, rows: np.ndarray,
@@ -97,11 +115,12 @@ def solve_with_robot(
     pairs = _one_row_per_link(pairs, robot.links, rows, len(bodies.masses))
     points = 0.5 * (contacts.points_a + contacts.points_b)
     touched = _touched(robot.links, rows, contacts, pairs, points)
+    begin = contacts.pair_begin.astype(np.int64)
+    beside = beside_robot(rows, begin, pairs.body_a, pairs.body_b, len(bodies.masses))
     frames, now = robot.frames(), bodies
     free = robot.trial([])
     bodies = _as_links(now, rows, _at_centers(frames, now.centers[rows]), _after(frames, free, now.centers[rows]))
-    contacts = contacts._replace(gaps=_with_blows_closed(contacts, pairs, points, bodies, {t.row for t in touched}))
-    begin = contacts.pair_begin.astype(np.int64)
+    contacts = contacts._replace(gaps=_with_blows_closed(contacts, pairs, points, bodies, beside))
     impulses, rolling = carried_impulses(
         contacts.fragment_a, contacts.fragment_b, begin, contacts.contact_ids, warm_start
     )
@@ -114,7 +133,7 @@ def solve_with_robot(
         impulses, passes = start.impulses, passes + 1
         if passes == PASSES or _is_settled(touched, before, impulses):
             return RobotStep(
-                bodies, contacts, pairs, tuple(touched), points, solution, overloaded, limits, passes
+                bodies, contacts, pairs, beside, tuple(touched), points, solution, overloaded, limits, passes
             )
 
 
@@ -214,9 +233,9 @@ def _as_links(bodies: RigidBodies, rows: np.ndarray, velocities: np.ndarray, fre
 
 
 def _with_blows_closed(
-    contacts: ContactConstraintArray, pairs: BodyPairs, points: np.ndarray, bodies: RigidBodies, links: set[int]
+    contacts: ContactConstraintArray, pairs: BodyPairs, points: np.ndarray, bodies: RigidBodies, beside: np.ndarray
 ) -> np.ndarray:
-    """Gaps (N,) [m] of the contacts; none of those on `links` that close up within the step, faster than v_e.
+    """Gaps (N,) [m] of the contacts; none of those `beside` the robot that close up within the step, faster than v_e.
 
     Or an impact without restitution would be shared among two steps, and break nothing in either.
     """
@@ -229,6 +248,6 @@ def _with_blows_closed(
     beyond = contacts.gaps - pairs.rest_gaps
     span = np.append(bodies.spans, np.inf)
     closing = np.minimum(span[a], span[b]) * approach
-    of_links = np.isin(a, list(links)) | np.isin(b, list(links))
-    is_blow = of_links & (beyond > 0.0) & (approach > np.repeat(pairs.bounce_speeds, counts)) & (closing > beyond)
+    is_fast = approach > np.repeat(pairs.bounce_speeds, counts)
+    is_blow = (beside[a] | beside[b]) & (beyond > 0.0) & is_fast & (closing > beyond)
     return np.where(is_blow, pairs.rest_gaps, contacts.gaps)

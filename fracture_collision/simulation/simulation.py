@@ -42,6 +42,7 @@ from fracture_collision.simulation.engine import (
     pushes_of,
 )
 from fracture_collision.simulation.engines import dynamics_of
+from fracture_collision.simulation.robot_contacts import beside_robot, robot_rows
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene.scene import Fracture, Scene, SceneBody
 from fracture_collision.simulation.solver import contact_memory
@@ -247,7 +248,7 @@ class Simulation:
         deepest_gap = float(contacts.gaps.min(initial=0.0))
         settings, traits = self._scene.solver, self._traits(states)
         shared = shared_traits(contacts, traits, self._cast)
-        split = split_by_gap(contacts, self._sizes_of_waiting(contacts, shared), settings.ahead_gap)
+        split = split_by_gap(contacts, self._sizes_of_waiting(contacts, shared, states), settings.ahead_gap)
         ahead, of_ahead, counts = split.ahead, shared.of(split.pairs_ahead), np.diff(split.ahead.pair_begin)
         pairs_ahead = self._body_pairs(of_ahead, np.repeat(settings.rest_gap * of_ahead.sizes, counts))
         contacts, shared = split.now, shared.of(split.pairs)
@@ -288,12 +289,15 @@ class Simulation:
         others = ~(a & b)
         return chosen_contacts(contacts, np.repeat(others, np.diff(contacts.pair_begin)), others)
 
-    def _sizes_of_waiting(self, contacts: ContactConstraintArray, shared: SharedTraits) -> np.ndarray:
-        """R (p,) [m] of the pairs; inf where nothing waits for a touch, as a robot does not: see robot_contacts."""
+    def _sizes_of_waiting(
+        self, contacts: ContactConstraintArray, shared: SharedTraits, states: BodyStates
+    ) -> np.ndarray:
+        """R (p,) [m] of the pairs; inf where nothing waits for a touch, as beside a robot: see robot_contacts."""
         if self.robot is None:
             return shared.sizes
-        of_robot = [np.isin(of, self.robot.fragment_ids) for of in (contacts.fragment_a, contacts.fragment_b)]
-        return np.where(of_robot[0] | of_robot[1], np.inf, shared.sizes)
+        rows, begin = robot_rows(self.robot, states), contacts.pair_begin.astype(np.int64)
+        beside = beside_robot(rows, begin, shared.body_a, shared.body_b, len(states.masses))
+        return np.where(beside[shared.body_a] | beside[shared.body_b], np.inf, shared.sizes)
 
     def _falling(self, frame: FrameState) -> FrameState:
         """The frame with the velocity that it will have: as _to_search, without the torque that needs its inertia."""
