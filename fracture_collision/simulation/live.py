@@ -1,7 +1,8 @@
 """An interactive scene: it runs without an end time and takes commands between its steps.
 
 The user replaces the scene's own actors: spheres with a start time are left out, a recorded hand does not move, and an
-arm does not swing. A robot of a URDF file follows its motors' tables. Everything else is the scene's, and the physics is that of simulation.py.
+arm does not swing. A robot of a URDF file follows its motors' tables. Everything else is the scene's, and the physics
+is that of simulation.py.
 
 Its last seconds are kept as copies of its state, to go back to (`History`). A copy of a hundred fragments takes 0.3 ms.
 The alternative, recorded commands and a second run through all steps since, would let the user wait. Meshes and

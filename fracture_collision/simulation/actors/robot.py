@@ -220,8 +220,11 @@ def _motor(fields: Fields, urdf: Urdf, folder: Path | None) -> Motor:
     given = [key for key in ("position", "velocity") if key in fields.keys()]  # noqa: SIM118
     if len(given) != 1:
         raise SceneError(f"{fields.name('')[:-1]}: needs position or velocity, got {' and '.join(given) or 'neither'}")
-    unit = "[s] and {} or, of a prismatic joint, {}; linear between"
-    words = {"position": unit.format("angle [degrees]", "[m]"), "velocity": unit.format("[degrees/s]", "[m/s]")}
+    unit = "[s] and {} or, of a prismatic joint, {}; linear between. Either this or {}"
+    words = {
+        "position": unit.format("angle [degrees]", "[m]", "velocity"),
+        "velocity": unit.format("speed [degrees/s]", "[m/s]", "position"),
+    }
     rows, _ = fields.timed_rows(given[0], f"rows of time {words[given[0]]}", ["time", given[0]], folder)
     scale = DEGREE if moving[name].kind in TURNING else 1.0
     motor = Motor(
