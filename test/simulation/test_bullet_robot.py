@@ -17,7 +17,8 @@ import pytest
 from fracture_collision import extras
 from fracture_collision.lockstep import Exchange, Lockstep
 from fracture_collision.share import share_directory
-from fracture_collision.simulation.scene.scene import Scene, SceneError, parse_scene
+from fracture_collision.simulation.rotations import turned_back
+from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, parse_scene
 from fracture_collision.simulation.scene.scene_changes import with_engine
 from fracture_collision.world import Settings
 
@@ -199,6 +200,15 @@ def test_motors_follow_their_tables() -> None:
         np.testing.assert_allclose(np.degrees(run.simulation.robot.joints().speeds[0]), 60.0, rtol=1e-6)
 
 
+def test_a_joint_stops_at_its_limit() -> None:
+    """At 3 rad, where the motor would go on."""
+    with run_of(scene([motor("turn", 50.0, [(0.0, 400.0)], "velocity"), *held()[1:]])) as run:
+        for _ in range(240):
+            run.step()
+        joints = run.simulation.robot.joints()
+    assert joints.angles[0] == pytest.approx(3.0, abs=0.01) and abs(joints.speeds[0]) < 1e-3
+
+
 @pytest.mark.parametrize("urdf", ["kuka_iiwa/model.urdf", IIWA], ids=["meshes", "primitives"])
 def test_shapes_stand_where_bullet_has_the_links(urdf: str) -> None:
     motors = [motor(f"lbr_iiwa_joint_{j}", 100.0, [(0.0, 10.0 * j)]) for j in range(1, 8)]
@@ -273,6 +283,32 @@ def test_a_kuka_breaks_a_column_with_the_torques_that_it_has() -> None:
     assert (np.abs(torques) <= limits * (1.0 + 1e-9)).all()
     assert np.abs(torques)[broken:, 0].max() == pytest.approx(limits[0])
     assert speeds[broken - 1] > 2.0 and min(speeds[broken : broken + 15]) < 0.95 * speeds[broken - 1], "it slows down"
+
+
+def test_the_robot_does_not_enter_shards_that_wait_for_each_other() -> None:
+    """Its tool moves 8 mm in a step, through a crowd of shards."""
+    what = load_scene("vase:bullet")._replace(duration=1.2)
+    with run_of(what) as run:
+        reports = [exchange.report for exchange in run]
+    assert reports[-1].fragments > reports[0].fragments + 15
+    assert min(report.deepest_gap for report in reports) > -0.006
+
+
+@pytest.mark.slow
+def test_a_waiter_carries_a_vase_until_it_tips_it_off() -> None:
+    what = load_scene("waiter")
+    hand = 1 + [body.name for body in what.bodies].index("robot hand")
+    places = []
+    with run_of(what) as run:
+        for exchange in run:
+            states = run.simulation.dynamics.states()
+            if exchange.report.time <= 2.0:
+                at = states.frame_orientations[states.fragment_ids.tolist().index(hand)]
+                arm = states.centers[row_of(run, "vase")] - states.centers[states.fragment_ids.tolist().index(hand)]
+                places.append(turned_back(at, arm))
+                assert not exchange.report.events
+    assert np.ptp(places[20:], axis=0).max() < 1e-3, "it does not slip"
+    assert exchange.report.fragments > 4 + 8, "it broke"
 
 
 # --- scene files -----------------------------------------------------------------------------------------------------

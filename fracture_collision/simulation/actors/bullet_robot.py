@@ -1,4 +1,4 @@
-"""A robot in PyBullet, which has its joints, limits, motors and dynamics; nothing else is in Bullet's world.
+"""A robot in PyBullet, which has its joints, limits, motors and dynamics; no shapes, and nothing else beside it.
 
 Bullet's solver cannot be given contacts. What it takes is forces: a step can be tried with impulses on the links, and
 taken back. Between two steps the state is that of the joints alone, so that going back, and a copy, are exact.
@@ -11,7 +11,10 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -124,10 +127,13 @@ class BulletRobot:
         pybullet.setTimeStep(self._time_step, **at)
         pybullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1, numSubSteps=0, **at)
         plan = self._plan
-        robot = self._robot = pybullet.loadURDF(
-            str(plan.urdf), plan.position.tolist(), plan.orientation.tolist(), useFixedBase=True,
-            flags=pybullet.URDF_USE_INERTIA_FROM_FILE, **at,
-        )
+        with NamedTemporaryFile("w", suffix=".urdf", encoding="utf-8") as file:
+            file.write(_without_shapes(plan.urdf))
+            file.flush()
+            robot = self._robot = pybullet.loadURDF(
+                file.name, plan.position.tolist(), plan.orientation.tolist(), useFixedBase=True,
+                flags=pybullet.URDF_USE_INERTIA_FROM_FILE, **at,
+            )  # fmt: skip
         told = [pybullet.getJointInfo(robot, j, **at) for j in range(pybullet.getNumJoints(robot, **at))]
         numbers, links = ({row[column].decode(): row[0] for row in told} for column in (1, 12))
         self._joint_numbers = [numbers[name] for name in self._names]
@@ -190,3 +196,12 @@ class BulletRobot:
         positions = origins + turned(rotation_matrices(turns), self._places)
         orientations = quaternion_products(turns, self._turns)
         return FrameState(positions, orientations, linear + crossed(angular, positions - centers), angular)
+
+
+def _without_shapes(urdf: Path) -> str:
+    """The text of a URDF file without meshes, which would take Bullet longer to read than all else."""
+    robot = ElementTree.parse(urdf).getroot()
+    for link in robot.iter("link"):
+        for element in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(element)
+    return ElementTree.tostring(robot, encoding="unicode")
