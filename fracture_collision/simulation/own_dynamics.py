@@ -82,6 +82,7 @@ class OwnDynamics(SleepingWorld):
         self._expected = NOTHING  # of this step
         self._carried: Touching | None = None  # to this step, from the last one that had to be made up for
         self._robot: Robot | None = None
+        self._placed: FrameState | None = None  # where its bodies were put last
 
     def carry(self, robot: Robot) -> None:
         """As in Dynamics."""
@@ -151,6 +152,7 @@ class OwnDynamics(SleepingWorld):
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         if self._robot is not None and step.robot is not None:
             self._robot.commit(step.robot.pushes(solution.warm_start.impulses))
+            self._placed = None  # not where the engine moved them
             self._follow_robot()
             drifting = np.where(self._is_robot(states)[:, None], 0.0, drifting)
         self._rest_after(given, v + drift)
@@ -244,12 +246,10 @@ class OwnDynamics(SleepingWorld):
         rows = self._robot_rows(states)
         if not len(rows):
             return
-        present = FrameState(
-            states.frame_positions[rows], states.frame_orientations[rows], states.frame_velocities()[rows],
-            states.angular[rows],
-        )  # fmt: skip
-        if not all(np.array_equal(one, other) for one, other in zip(present, frames, strict=True)):
+        placed = self._placed
+        if placed is None or not all(map(np.array_equal, placed, frames)):
             self.place(rows, frames)
+            self._placed = frames
 
     def _robot_moves(self, states: BodyStates, rows: np.ndarray, after: FrameState) -> np.ndarray:
         """Constant velocities (m, 6) [m/s, rad/s] that bring the robot's bodies to the frames `after` in a step."""
