@@ -44,8 +44,9 @@ def record(
     from fracture_collision.cli.scene import parse_settings
     from fracture_collision.extras import MissingExtra
     from fracture_collision.ros.runs.scene_recording import Selection, record_scene
+    from fracture_collision.simulation.engines import with_engine
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
-    from fracture_collision.simulation.scene.scene_changes import with_curvature, with_engine
+    from fracture_collision.simulation.scene.scene_changes import with_curvature
     from fracture_collision.world.settings import for_step
 
     try:

@@ -78,8 +78,9 @@ def scene(name: str, out: Path | None, count_colliding: bool, pictures: bool, op
     # Imported late: --help should not wait for numba and matplotlib.
     from fracture_collision.extras import MissingExtra
     from fracture_collision.scene_run import SceneRun
+    from fracture_collision.simulation.engines import with_engine
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
-    from fracture_collision.simulation.scene.scene_changes import with_curvature, with_engine
+    from fracture_collision.simulation.scene.scene_changes import with_curvature
     from fracture_collision.world.settings import for_step
 
     try:

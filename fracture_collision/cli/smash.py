@@ -59,8 +59,8 @@ def smash(scene: str, mesh: Path | None, size: float, out: Path, seed: int | Non
     from fracture_collision.process.outputs import NewOutputs
     from fracture_collision.ros.runs.run_domain import DomainTaken
     from fracture_collision.ros.runs.smash_run import Progress, RunFailed, run_scene
+    from fracture_collision.simulation.engines import with_engine
     from fracture_collision.simulation.scene.scene import SceneError, load_scene
-    from fracture_collision.simulation.scene.scene_changes import with_engine
     from fracture_collision.viewer.film.film import render_film_strip
     from fracture_collision.viewer.film.times_plot import plot_times
 

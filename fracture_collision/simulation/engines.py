@@ -5,7 +5,7 @@ from __future__ import annotations
 from fracture_collision.extras import need
 from fracture_collision.simulation.dynamics import Dynamics
 from fracture_collision.simulation.own_dynamics import OwnDynamics
-from fracture_collision.simulation.scene.scene import MUJOCO, Scene, require_engine_for_robot
+from fracture_collision.simulation.scene.scene import MUJOCO, Scene, known_engine, require_engine_for_robot
 
 
 def dynamics_of(scene: Scene, looks_ahead: bool) -> Dynamics:
@@ -21,3 +21,11 @@ def dynamics_of(scene: Scene, looks_ahead: bool) -> Dynamics:
 
         return MujocoDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead)
     return OwnDynamics(scene.time_step, scene.gravity, scene.solver, looks_ahead)
+
+
+def with_engine(scene: Scene, engine: str | None) -> Scene:
+    """The scene with this engine; None or "": its own. Raises SceneError, and MissingExtra if it is not installed."""
+    if engine:
+        scene = scene._replace(engine=known_engine(engine))
+    dynamics_of(scene, False).close()
+    return scene

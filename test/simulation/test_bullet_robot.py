@@ -17,9 +17,9 @@ import pytest
 from fracture_collision import extras
 from fracture_collision.lockstep import Exchange, Lockstep
 from fracture_collision.share import share_directory
+from fracture_collision.simulation.engines import with_engine
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene, parse_scene
-from fracture_collision.simulation.scene.scene_changes import with_engine
 from fracture_collision.world import Settings
 
 pytest.importorskip("pybullet")

@@ -29,8 +29,8 @@ from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record, serialize_record
 from fracture_collision.ros.wire.conversion import header_of, heading, to_message, to_record
 from fracture_collision.ros.wire.interfaces import COLLISION_NODE, Interface
+from fracture_collision.simulation.engines import with_engine
 from fracture_collision.simulation.scene.scene import Scene, SceneError, load_scene
-from fracture_collision.simulation.scene.scene_changes import with_engine
 from fracture_collision.simulation.simulation import Simulation, StepReport
 from fracture_collision.simulation.warm_up import compile_kernels
 from fracture_collision.world.settings import EXACT, GLONDU2014

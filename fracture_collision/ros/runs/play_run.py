@@ -14,8 +14,8 @@ from typing import NamedTuple
 from fracture_collision.process.outputs import NewOutputs
 from fracture_collision.ros.processes.node_process import NodeProcess
 from fracture_collision.ros.runs.run_domain import run_domain
+from fracture_collision.simulation.engines import with_engine
 from fracture_collision.simulation.scene.scene import load_scene
-from fracture_collision.simulation.scene.scene_changes import with_engine
 
 LOGS = "logs"
 LOOK = 0.05  # [s]

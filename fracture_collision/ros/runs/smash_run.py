@@ -21,8 +21,8 @@ from fracture_collision.ros.processes.node_process import NodeProcess
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
 from fracture_collision.ros.runs.run_domain import run_domain
 from fracture_collision.run_report import summaries
+from fracture_collision.simulation.engines import with_engine
 from fracture_collision.simulation.scene.scene import load_scene
-from fracture_collision.simulation.scene.scene_changes import with_engine
 
 # [s] for the recorder to receive what is on its way when the simulator has ended.
 RECORDER_PATIENCE = 20.0

@@ -12,21 +12,12 @@ import yaml
 from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.portable_math import normal_numbers
-from fracture_collision.simulation.engines import dynamics_of
 from fracture_collision.simulation.rotations import random_quaternion
-from fracture_collision.simulation.scene.scene import Scene, known_engine
+from fracture_collision.simulation.scene.scene import Scene
 
 # Of a random drop: standard deviation of each coordinate.
 DROP_SPEED = 0.5  # [m/s]
 DROP_SPIN = 5.0  # [rad/s]
-
-
-def with_engine(scene: Scene, engine: str | None) -> Scene:
-    """The scene with this engine; None or "": its own. Raises SceneError, and MissingExtra if it is not installed."""
-    if engine:
-        scene = scene._replace(engine=known_engine(engine))
-    dynamics_of(scene, False).close()
-    return scene
 
 
 def with_curvature(scene: Scene, curvature: float) -> Scene:
