@@ -108,6 +108,23 @@ def test_a_held_load_needs_the_torques_of_equilibrium(density: float, mass: floa
         assert np.abs(states.linear[i]).max() < 1e-6 and report.deepest_gap > -1e-5
 
 
+def test_a_load_on_two_links_needs_the_torques_of_equilibrium() -> None:
+    """It lies on boom and hand, each of which learns of the other's contacts by the passes alone."""
+    lying = brick("load", [0.36, 0.1, 0.06], 0.03, [0.4, 0.0, 0.47 + 0.03 + 0.0302])
+    what = scene(held(), [lying], {"density": 3000.0})
+    with run_of(what) as run:
+        for _ in range(200):
+            exchange = run.step()
+        joints, states, i = run.simulation.robot.joints(), run.simulation.dynamics.states(), row_of(run, "load")
+    contacts = exchange.contacts
+    names = {what.bodies[b - 1].name for a, b in zip(contacts.fragment_a, contacts.fragment_b, strict=True) if a == 1}
+    assert names == {"robot boom 2", "robot hand"}
+    lift = -GRAVITY * (sum(m * at for m, at in BEYOND_LIFT) + states.masses[i] * states.centers[i, 0])
+    assert joints.torques[1] == pytest.approx(lift, rel=1e-3)
+    assert joints.torques[2] < -GRAVITY * 1.5 * 0.08 - 0.5, "the hand bears a part"
+    assert np.abs(states.linear[i]).max() < 1e-6 and exchange.report.deepest_gap > -1e-5
+
+
 def test_a_motor_gives_way_where_its_torque_does_not_suffice() -> None:
     """60.3 N m are needed: with 65 the load stays, with 60 it sinks, as its torque is what is missing."""
     with run_of(load(8000.0, (200.0, 65.0, 60.0))) as run:
