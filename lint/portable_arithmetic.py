@@ -2,8 +2,8 @@
 
 In core, world, geometry, fracture, meshing and simulation this forbids BLAS and LAPACK (`numpy.linalg`, `dot`, `@`,
 ...), elementary functions of numpy, of `math` and of numba (which calls libm for both), powers (except integer ones in
-kernels), normally distributed numbers, sorts that leave the order of equal keys open, and scipy. Replacements are in
-fracture_collision/portable_math.py. EXCEPTIONS lists permitted cases, with the reason.
+kernels), normally distributed numbers, sorts that leave the order of equal keys open, scipy and engines. Replacements
+are in fracture_collision/portable_math.py. EXCEPTIONS lists permitted cases, with the reason.
 
     python -m lint.portable_arithmetic
 """
@@ -27,9 +27,11 @@ EXCEPTIONS = {
     ("geometry/vase.py", "scipy"): "monotone cubics (PCHIP): compiled once, + - * /",
     ("simulation/mujoco_dynamics.py", "*"): "MuJoCo's own differs between processors; its docstring says so",
     ("simulation/mujoco_model.py", "*"): "likewise",
+    ("simulation/actors/bullet_robot.py", "pybullet"): "Bullet's own differs between processors; its docstring says so",
     ("simulation/actors/arm.py", "scipy"): "monotone cubics (PCHIP): compiled once, + - * /",
 }
 
+FOREIGN = {"scipy", "mujoco", "pybullet"}
 MATH = {"sqrt", "floor", "ceil", "fabs", "copysign", "isfinite", "isinf", "isnan", "isclose", "inf", "nan", "pi"}
 NUMPY = {
     "linalg", "fft", "dot", "vdot", "inner", "matmul", "vecdot", "matvec", "vecmat", "tensordot", "einsum",
@@ -66,8 +68,8 @@ def _violation(node: ast.AST, modules: dict[str, str], in_kernel: bool) -> tuple
     if isinstance(node, ast.Import | ast.ImportFrom):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
         for name in names:
-            if name.split(".")[0] == "scipy":
-                return "scipy", f"{name}: scipy's rounding is not known to be the same everywhere"
+            if (package := name.split(".")[0]) in FOREIGN:
+                return package, f"{name}: {package}'s rounding is not known to be the same everywhere"
         if isinstance(node, ast.ImportFrom) and node.module in ("math", "numpy"):
             allowed = MATH if node.module == "math" else None
             for alias in node.names:

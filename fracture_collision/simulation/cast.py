@@ -69,6 +69,12 @@ class Cast:
         while self._unthrown and self._unthrown[0][0] <= time:
             self._enter(self._unthrown.pop(0)[1])
 
+    def move_waiting(self, fragment_ids: np.ndarray, frames: FrameState) -> None:
+        """Let those of `fragment_ids` (m,) that wait enter in these frames, a FrameState of arrays."""
+        for row, fragment_id in enumerate(fragment_ids.tolist()):
+            if fragment_id in self.waiting:
+                self.waiting[fragment_id] = FrameState(*(column[row] for column in frames))
+
     def throw(self, body: SceneBody) -> int:
         """Add a body with the next step, whatever its `start_time`. Returns its id. ValueError for a static body."""
         if body.is_static:

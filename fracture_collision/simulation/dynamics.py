@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from fracture_collision.simulation.actors.robot import Robot
 from fracture_collision.simulation.cast import Traits
 from fracture_collision.simulation.engine import (
     BodyStates,
@@ -64,6 +65,9 @@ class Dynamics(Protocol):
     def links(self) -> Mapping[int, FrameState]:
         """Present poses and velocities of moving parts of the engine's own, by fragment id; static for the service."""
 
+    def carry(self, robot: Robot) -> None:
+        """Let a robot move its bodies from now on. ValueError if the engine has no robots."""
+
     def begin(self, planned: Planned | None) -> BodyStates:
         """The states with the velocities that the service looks ahead with. May be called again before `solve`.
 
@@ -93,12 +97,14 @@ class SleepingWorld(RigidBodyWorld):
         """As in Dynamics: none."""
         return {}
 
-    def _settle(self, given: Given, stays: np.ndarray | None = None) -> None:
-        """Wake and lull islands, by the contacts of a step; what `stays` (n,) awake, and its island, do not sleep."""
+    def _never_at_rest(self, given: Given) -> np.ndarray:
+        """(n,) bool: bodies that do not sleep, nor what they touch."""
+        return np.zeros(len(given.states.masses), bool)
+
+    def _settle(self, given: Given) -> None:
+        """Wake and lull islands, by the contacts of a step."""
         contacts, pairs, *_ = given.contacts
-        is_pushed = np.any(given.pushes, axis=1)
-        if stays is not None:
-            is_pushed |= stays
+        is_pushed = np.any(given.pushes, axis=1) | self._never_at_rest(given)
         rest = sleep.roused(self._rest, given.states.fragment_ids, self._touched, is_pushed)
         time = self._settings.sleep_time
         self._rest = sleep.settled(rest, contacts.pair_begin, pairs.body_a, pairs.body_b, time)

@@ -198,6 +198,17 @@ class RigidBodyWorld:
         )
         self._states = None
 
+    def place(self, rows: np.ndarray, frames: FrameState) -> None:
+        """Put bodies, of these rows (m,) of `states`, to other frames: a FrameState of arrays, a row for each."""
+        positions, orientations, linear, angular = frames
+        columns = [column.copy() for column in self._bodies[4:]]
+        arms = turned(rotation_matrices(orientations), self._bodies.centers_of_mass[rows])
+        new = positions + arms, orientations, linear + crossed(angular, arms), angular
+        for column, values in zip(columns, new, strict=True):
+            column[rows] = values
+        self._bodies = _Bodies(*self._bodies[:4], *columns)
+        self._states = None
+
     def close(self) -> None:
         """No resources to release."""
 

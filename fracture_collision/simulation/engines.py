@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from fracture_collision.extras import need
 from fracture_collision.simulation.dynamics import Dynamics
 from fracture_collision.simulation.own_dynamics import OwnDynamics
-from fracture_collision.simulation.scene.scene import MUJOCO, Scene, SceneError, known_engine
+from fracture_collision.simulation.scene.scene import (
+    MUJOCO,
+    Scene,
+    SceneError,
+    known_engine,
+    require_engine_for_robot,
+)
 
 
 def dynamics_of(scene: Scene, looks_ahead: bool) -> Dynamics:
-    """A scene's engine, without bodies. looks_ahead: see OwnDynamics. MissingExtra if it is not installed."""
+    """A scene's engine, without bodies. looks_ahead: see OwnDynamics.
+
+    MissingExtra if it is not installed, or a robot's; SceneError if it cannot have the scene's robot.
+    """
+    require_engine_for_robot(scene)
+    if scene.robot is not None:
+        need("bullet", "a scene with a robot")
     if scene.engine == MUJOCO:
         from fracture_collision.simulation.mujoco_dynamics import MujocoDynamics
 

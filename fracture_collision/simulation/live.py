@@ -1,7 +1,8 @@
 """An interactive scene: it runs without an end time and takes commands between its steps.
 
 The user replaces the scene's own actors: spheres with a start time are left out, a recorded hand does not move, and an
-arm does not swing. Everything else is the scene's, and the physics is that of simulation.py.
+arm does not swing. A robot of a URDF file follows its motors' tables. Everything else is the scene's, and the physics
+is that of simulation.py.
 
 Its last seconds are kept as copies of its state, to go back to (`History`). A copy of a hundred fragments takes 0.3 ms.
 The alternative, recorded commands and a second run through all steps since, would let the user wait. Meshes and
@@ -22,6 +23,7 @@ from fracture_collision.portable_math import lengths
 from fracture_collision.records import FractureEvent
 from fracture_collision.simulation.actors.arm import PARTS
 from fracture_collision.simulation.actors.hand import Hammer
+from fracture_collision.simulation.actors.robot import RobotPlan
 from fracture_collision.simulation.config.shapes import Shape
 from fracture_collision.simulation.scene.scene import Material, Scene, SceneBody
 from fracture_collision.simulation.simulation import Simulation
@@ -62,7 +64,7 @@ class LiveScene:
         kept = tuple(body for body in scene.bodies if not _is_thrown(body))
         arm = None if scene.arm is None else scene.arm.standing()
         self.simulation = Simulation(scene._replace(bodies=kept, hand=None, arm=arm), seed, None, looks_ahead)
-        self._home = _hammer_home(kept)
+        self._home = _hammer_home(kept, scene.robot)
         self._hammer: Hammer | None = None
         self._balls: deque[int] = deque()
         self._thrown = 0
@@ -151,9 +153,9 @@ def _is_thrown(body: SceneBody) -> bool:
     return body.start_time > 0.0 and body.shape.kind == "sphere"
 
 
-def _hammer_home(bodies: tuple[SceneBody, ...]) -> np.ndarray:
-    arm = {part.name for part in PARTS}
-    places = [body.position for body in bodies if not body.is_static and body.name not in arm]
+def _hammer_home(bodies: tuple[SceneBody, ...], robot: RobotPlan | None) -> np.ndarray:
+    actors = {part.name for part in PARTS} | ({part.body for part in robot.shapes} if robot is not None else set())
+    places = [body.position for body in bodies if not body.is_static and body.name not in actors]
     middle = np.mean(places, axis=0) if places else np.array([0.0, 0.0, 0.5])
     return middle - np.array([0.0, IN_FRONT, 0.0])
 

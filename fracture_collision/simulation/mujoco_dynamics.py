@@ -37,6 +37,7 @@ import mujoco  # noqa: E402
 
 from fracture_collision.portable_math import dots  # noqa: E402
 from fracture_collision.records import ContactConstraintArray  # noqa: E402
+from fracture_collision.simulation.actors.robot import Robot  # noqa: E402
 from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved  # noqa: E402
 from fracture_collision.simulation.engine import BodyStates, ByFragment, FrameState, Planned, free_velocities  # noqa: E402
 from fracture_collision.simulation.mujoco_model import (  # noqa: E402
@@ -183,6 +184,10 @@ class MujocoDynamics(SleepingWorld):
         other._place_links()
         return other
 
+    def carry(self, robot: Robot) -> None:
+        """As in Dynamics: it has none."""
+        raise ValueError("the engine mujoco has no robots of URDF files")
+
     def begin(self, planned: Planned | None) -> BodyStates:
         """As in Dynamics."""
         states = self.states()
@@ -198,7 +203,7 @@ class MujocoDynamics(SleepingWorld):
     def solve(self, given: Given) -> Solved:
         """As in Dynamics."""
         searched = self._searched_of(given) if self._looks_ahead else None
-        self._settle(given, self._touch_links(given))
+        self._settle(given)
         states, n, (now, *_) = given.states, len(given.states.masses), given.contacts
         asleep, strengths = self._rest.asleep, given.traits.strengths
         bodies = self._rigid_bodies(states, given.pushes, np.full(n, self._time_step), asleep)
@@ -367,8 +372,8 @@ class MujocoDynamics(SleepingWorld):
             geoms[fragments == fragment] = geom
         return geoms
 
-    def _touch_links(self, given: Given) -> np.ndarray:
-        """(n,) bool: bodies that the model touches. They stay awake, or it would not feel them."""
+    def _never_at_rest(self, given: Given) -> np.ndarray:
+        """As in SleepingWorld: the model would not feel what sleeps on it."""
         touch, (now, pairs, *_) = np.zeros(len(given.states.masses) + 1, bool), given.contacts
         for fragments, others in ((now.fragment_a, pairs.body_b), (now.fragment_b, pairs.body_a)):
             touch[others[np.isin(fragments, list(self._links))]] = True

@@ -1,7 +1,8 @@
 """The package's own engine: contact solver, sleeping, and touches within a step. The same bytes on every processor.
 
 One step: contacts are solved for the velocities at its end, gravity included (`solver/contact_solver`). Bodies move as
-far as they touch nothing ahead (`solver/touch_ahead`), and make up for lost time later (`catching_up`).
+far as they touch nothing ahead (`solver/touch_ahead`), and make up for lost time later (`catching_up`). A robot has an
+engine of its own (`robot_contacts`); its bodies are rows like others, which it moves.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.portable_math import dots
+from fracture_collision.portable_math import dots, rotation_vectors
+from fracture_collision.records import ContactConstraintArray
+from fracture_collision.simulation.actors.robot import Robot
 from fracture_collision.simulation.catching_up import (
     MOST_LOST,
     NOTHING,
@@ -22,17 +25,28 @@ from fracture_collision.simulation.catching_up import (
     extra_times,
 )
 from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved
-from fracture_collision.simulation.engine import BodyStates, ByFragment, Planned, free_velocities
+from fracture_collision.simulation.engine import BodyStates, ByFragment, FrameState, Planned, free_velocities
+from fracture_collision.simulation.robot_contacts import RobotStep, robot_rows, solve_with_robot
+from fracture_collision.simulation.rotations import (
+    INVERSE,
+    quaternion_products,
+    rotation_matrices,
+    turned,
+)
 from fracture_collision.simulation.solver.contact_solver import (
     Again,
+    BodyPairs,
     RigidBodies,
     Solution,
     SolverSettings,
     solve_contacts,
     solve_with_strengths,
 )
-from fracture_collision.simulation.solver.touch_ahead import Course, shares_of_step
+from fracture_collision.simulation.solver.touch_ahead import Course, StepContacts, chosen_contacts, shares_of_step
 from fracture_collision.simulation.solver.warm_start import NO_WARM_START
+
+# [kg], [kg m2] of a robot that no contact moves.
+STEADY = 1.0e9
 
 
 class _Step(NamedTuple):
@@ -44,6 +58,8 @@ class _Step(NamedTuple):
     solution: Solution
     limits: np.ndarray  # (N,) [N s] of the contacts' impulses: what materials bear
     flight: np.ndarray  # (n, 6) drift of bodies in free flight
+    solved: tuple[ContactConstraintArray, BodyPairs]  # as the solver had them
+    robot: RobotStep | None
 
 
 class OwnDynamics(SleepingWorld):
@@ -65,9 +81,16 @@ class OwnDynamics(SleepingWorld):
         self._lost = NOTHING.extra  # (n,) [s] that bodies are behind
         self._expected = NOTHING  # of this step
         self._carried: Touching | None = None  # to this step, from the last one that had to be made up for
+        self._robot: Robot | None = None
+        self._placed: FrameState | None = None  # where its bodies were put last
+
+    def carry(self, robot: Robot) -> None:
+        """As in Dynamics."""
+        self._robot = robot
 
     def begin(self, planned: Planned | None) -> BodyStates:
         """As in Dynamics."""
+        self._follow_robot()
         states = self.states()
         if self._waited is not None:
             # of nothing, if all bodies have left or broken
@@ -87,30 +110,51 @@ class OwnDynamics(SleepingWorld):
             searched = self._searched[1].velocities()
         self._settle(given)
         bodies = self._rigid_bodies(states, given.pushes, self._spans(states), self._rest.asleep)
-        solution, overloaded, limits = solve_with_strengths(
-            bodies, contacts, pairs, self._warm_start, settings, given.traits.strengths
-        )
+        with_robot = None
+        if self._robot is None:
+            solution, overloaded, limits = solve_with_strengths(
+                bodies, contacts, pairs, self._warm_start, settings, given.traits.strengths
+            )
+        else:
+            with_robot = solve_with_robot(
+                self._robot, bodies, contacts, pairs, self._warm_start, settings, given.traits.strengths,
+                self._robot_rows(states),
+            )  # fmt: skip
+            bodies, contacts, pairs, *_ = with_robot
+            solution, overloaded, limits = with_robot.solution, with_robot.overloaded, with_robot.limits
         flight = self._flight(given, bodies, solution)
-        self._step = _Step(given, bodies, searched, solution, limits, flight)
+        solved = contacts, pairs
+        self._step = _Step(given, bodies, searched, solution, limits, flight, solved, with_robot)
         return Solved(solution.normal_impulses, overloaded, solution.velocities - bodies.free_velocities)
 
     def move(self) -> float:
         """As in Dynamics: drift correction adds energy where it lifts bodies."""
         assert self._step is not None
-        (given, bodies, searched, solution, limits, flight), self._step = self._step, None
+        step, self._step = self._step, None
+        given, bodies, searched, solution, limits, flight, *_ = step
         states, forms, settings, time_step = given.states, given.traits.forms, self._settings, self._time_step
         rates = (bodies.spans / time_step)[:, None]
         moves = rates * (solution.velocities + solution.drift + flight)
         falls = rates * (bodies.free_velocities - bodies.velocities)[:, :3]
         is_expected = self._expected.velocities.have(states.fragment_ids)
-        course = Course(moves, searched, falls, is_expected)
-        self.shares = shares_of_step(states, given.contacts, course, forms, settings, time_step)
+        course, contacts = Course(moves, searched, falls, is_expected), given.contacts
+        if step.robot is not None:
+            course, contacts = self._beside_robot(step, course)
+            moves = course.moves
+        self.shares = shares_of_step(states, contacts, course, forms, settings, time_step)
+        if step.robot is not None:
+            self.shares[step.robot.beside[:-1]] = 1.0
         moved, drifting = self.shares * bodies.spans, solution.drift
         if (self.shares < 1.0).any():
-            solution = self._solved_until(moved, given, bodies, solution, limits)
+            solution = self._solved_until(moved, step)
         self._warm_start, v = solution.warm_start, solution.velocities
         drift = self.shares[:, None] * moves - v
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
+        if self._robot is not None and step.robot is not None:
+            self._robot.commit(step.robot.pushes(solution.warm_start.impulses))
+            self._placed = None  # not where the engine moved them
+            self._follow_robot()
+            drifting = np.where(self._is_robot(states)[:, None], 0.0, drifting)
         self._rest_after(given, v + drift)
         if self._looks_ahead:
             self._remember_waiting(given, moved)
@@ -129,12 +173,14 @@ class OwnDynamics(SleepingWorld):
             is_round = given.traits.forms.is_round[:-1]
             self._waited = Waited(states, given.contacts, carried, is_round, is_held, is_at_rest, lost)
 
-    def _solved_until(
-        self, moved: np.ndarray, given: Given, bodies: RigidBodies, solution: Solution, limits: np.ndarray
-    ) -> Solution:
+    def _solved_until(self, moved: np.ndarray, step: _Step) -> Solution:
         """The solution with gravity for the times `moved` (n,) [s] only: bodies that waited gain no energy by it."""
-        held, (now, pairs, *_) = moved < bodies.spans, given.contacts
+        (given, bodies, _, solution, limits, *_), (now, pairs) = step, step.solved
+        held = moved < bodies.spans
         free = free_velocities(bodies.velocities, bodies.inertias, self._gravity, moved)
+        if self._robot is not None:
+            rows = self._robot_rows(given.states)
+            free[rows] = bodies.free_velocities[rows]
         alone = np.where(held[:, None], free, solution.velocities)
         again = Again(held, limits, solution._replace(velocities=alone))
         until = bodies._replace(free_velocities=free)
@@ -145,8 +191,11 @@ class OwnDynamics(SleepingWorld):
         settings, ids, time_step = self._settings, states.fragment_ids, self._time_step
         contacts, pairs = self._carried = carried_contacts(waited, states, settings)
         pushes = np.zeros((len(ids), 6)) if planned is None else planned.pushes.of(ids)
-        extra, is_expected = extra_times(waited, states, np.any(pushes, axis=1), self._carried, time_step)
+        is_pushed = np.any(pushes, axis=1) | self._is_robot(states)
+        extra, is_expected = extra_times(waited, states, is_pushed, self._carried, time_step)
         bodies = self._rigid_bodies(states, pushes, time_step + extra, np.zeros(len(ids), bool))
+        if self._robot is not None:
+            bodies = self._with_steady_robot(states, bodies)
         still, zeros = np.zeros((len(ids), 6)), np.zeros(len(contacts.gaps))
         nothing = Solution(bodies.free_velocities, still, zeros, zeros, self._warm_start)
         again = Again(is_expected, np.full(len(zeros), np.inf), nothing)
@@ -163,8 +212,74 @@ class OwnDynamics(SleepingWorld):
             moves, is_known = known.of(ids), known.have(ids)[:, None]
             linear, angular = np.where(is_known, moves[:, :3], linear), np.where(is_known, moves[:, 3:], angular)
         rates = (spans / self._time_step)[:, None]
+        if self._robot is not None and (rows := self._robot_rows(states)).size:
+            # As it will move, if no contact changes that.
+            linear[rows], angular[rows] = np.hsplit(self._robot_moves(states, rows, self._robot.trial([])), 2)
         return states._replace(linear=rates * linear, angular=rates * angular)
 
     def _spans(self, states: BodyStates) -> np.ndarray:
         """(n,) [s] for which bodies move in this step, if nothing holds them back."""
         return self._time_step + self._expected.extra.of(states.fragment_ids)
+
+    def _robot_rows(self, states: BodyStates) -> np.ndarray:
+        """Rows (m,) of the robot's bodies; none before they have entered, all at once."""
+        if self._robot is None:
+            return np.zeros(0, np.int64)
+        rows = robot_rows(self._robot, states)
+        return rows[rows < len(states.masses)]
+
+    def _is_robot(self, states: BodyStates) -> np.ndarray:
+        """(n,) bool."""
+        found = np.zeros(len(states.masses), bool)
+        found[self._robot_rows(states)] = True
+        return found
+
+    def _never_at_rest(self, given: Given) -> np.ndarray:
+        """As in SleepingWorld: a motor may move the robot at any time."""
+        return self._is_robot(given.states)
+
+    def _follow_robot(self) -> None:
+        """Put the robot's bodies where the robot is."""
+        if self._robot is None:
+            return
+        states, frames = self.states(), self._robot.frames()
+        rows = self._robot_rows(states)
+        if not len(rows):
+            return
+        placed = self._placed
+        if placed is None or not all(map(np.array_equal, placed, frames)):
+            self.place(rows, frames)
+            self._placed = frames
+
+    def _robot_moves(self, states: BodyStates, rows: np.ndarray, after: FrameState) -> np.ndarray:
+        """Constant velocities (m, 6) [m/s, rad/s] that bring the robot's bodies to the frames `after` in a step."""
+        turns = quaternion_products(after.orientation, states.frame_orientations[rows] * INVERSE)
+        arms = states.centers[rows] - states.frame_positions[rows]
+        centers = after.position + turned(rotation_matrices(turns), arms)
+        return np.hstack((centers - states.centers[rows], rotation_vectors(turns))) / self._time_step
+
+    def _with_steady_robot(self, states: BodyStates, bodies: RigidBodies) -> RigidBodies:
+        """`bodies` with a robot that no contact changes: an estimate for a search."""
+        rows = self._robot_rows(states)
+        masses, inertias, free = bodies.masses.copy(), bodies.inertias.copy(), bodies.free_velocities.copy()
+        masses[rows], inertias[rows], free[rows] = STEADY, STEADY * np.eye(3), bodies.velocities[rows]
+        return bodies._replace(masses=masses, inertias=inertias, free_velocities=free)
+
+    def _beside_robot(self, step: _Step, course: Course) -> tuple[Course, StepContacts]:
+        """The course with the robot's own moves, and the contacts by which bodies wait for each other: none beside it.
+
+        There nothing was searched along the course after a blow; but what waited, the robot would enter.
+        """
+        assert self._robot is not None and step.robot is not None
+        states, (now, pairs, *_), moves = step.given.states, step.given.contacts, course.moves.copy()
+        rows, beside = self._robot_rows(states), step.robot.beside
+        pushes = step.robot.pushes(step.solution.warm_start.impulses)
+        moves[rows] = self._robot_moves(states, rows, self._robot.trial(pushes))
+        searched = course.searched
+        if searched is not None:
+            searched = np.where(beside[:-1, None], moves, searched)
+        waits = ~(beside[pairs.body_a] | beside[pairs.body_b])
+        each = np.repeat(waits, np.diff(now.pair_begin))
+        its = BodyPairs._make([*(column[waits] for column in pairs[:-1]), pairs.rest_gaps[each]])
+        contacts = step.given.contacts._replace(now=chosen_contacts(now, each, waits), pairs=its)
+        return course._replace(moves=moves, searched=searched), contacts

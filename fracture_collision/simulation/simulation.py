@@ -27,6 +27,7 @@ from fracture_collision.records import (
 from fracture_collision.simulation.actors.arm import PARTS
 from fracture_collision.simulation.actors.arm_control import ArmControl
 from fracture_collision.simulation.actors.hand import Drag
+from fracture_collision.simulation.actors.robot import Robot
 from fracture_collision.simulation.cast import Cast, SharedTraits, Traits, shared_traits, traits_of
 from fracture_collision.simulation.dynamics import Dynamics, Given, Solved
 from fracture_collision.simulation.engine import (
@@ -41,6 +42,7 @@ from fracture_collision.simulation.engine import (
     pushes_of,
 )
 from fracture_collision.simulation.engines import dynamics_of
+from fracture_collision.simulation.robot_contacts import beside_robot, robot_rows
 from fracture_collision.simulation.rotations import turned_back
 from fracture_collision.simulation.scene.scene import Fracture, Scene, SceneBody
 from fracture_collision.simulation.solver import contact_memory
@@ -51,7 +53,7 @@ from fracture_collision.simulation.solver.contact_solver import (
     hardest_hit,
     kinetic_energy,
 )
-from fracture_collision.simulation.solver.touch_ahead import StepContacts, split_by_gap
+from fracture_collision.simulation.solver.touch_ahead import StepContacts, chosen_contacts, split_by_gap
 from fracture_collision.simulation.step_records import LookaheadCheck, StepReport, StepRequest, fragment_states
 
 
@@ -88,6 +90,16 @@ class Simulation:
             ids = {name: i for i, name in names.items()}
             self.arm = ArmControl(scene.arm, [ids[part.name] for part in PARTS])
             self._pushers.append(self.arm)
+        self.robot: Robot | None = None  # the scene's
+        self._not_pushed_by_robot = np.zeros(0, np.uint32)
+        if scene.robot is not None:
+            from fracture_collision.simulation.actors.bullet_robot import BulletRobot  # late: needs an extra
+
+            ids = {name: i for i, name in names.items()}
+            self.robot = BulletRobot(scene.robot, ids, scene.time_step, scene.gravity)
+            static = [i for i, body in self._cast.body_of.items() if body.is_static]
+            self._not_pushed_by_robot = np.append(self.robot.fragment_ids, np.array(static, np.uint32))
+            self.dynamics.carry(self.robot)
 
     @property
     def time_step(self) -> float:
@@ -107,6 +119,8 @@ class Simulation:
     def close(self) -> None:
         """Release the engine's resources."""
         self.dynamics.close()
+        if self.robot is not None:
+            self.robot.close()
 
     def grab(self, name: str, position: np.ndarray) -> bool:
         """`drag.grab` among the bodies in motion; `drag` moves the hand and lets go."""
@@ -139,6 +153,8 @@ class Simulation:
     def begin_step(self) -> StepRequest:
         """Request the contacts at the present time. Repeated before the answer, it has the same states and events."""
         self._cast.enter_until(self.time + 1e-9 * self._scene.time_step)
+        if self.robot is not None:
+            self._cast.move_waiting(self.robot.fragment_ids, self.robot.frames())
         # A fragment that waits for the registry may be the one to push: then pushes are not planned.
         if self._looks_ahead and self._planned is None and not self._cast.waiting:
             states = self.dynamics.states()
@@ -228,10 +244,12 @@ class Simulation:
         """The contacts of `requested` as the engine gets them, their smallest gap [m], and the pushes' energy [J]."""
         if self.arm is not None:
             contacts = self.arm.without_own(contacts)
+        if self.robot is not None:
+            contacts = self._without_robots_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))
         settings, traits = self._scene.solver, self._traits(states)
         shared = shared_traits(contacts, traits, self._cast)
-        split = split_by_gap(contacts, shared.sizes, settings.ahead_gap)
+        split = split_by_gap(contacts, self._sizes_of_waiting(contacts, shared, states), settings.ahead_gap)
         ahead, of_ahead, counts = split.ahead, shared.of(split.pairs_ahead), np.diff(split.ahead.pair_begin)
         pairs_ahead = self._body_pairs(of_ahead, np.repeat(settings.rest_gap * of_ahead.sizes, counts))
         contacts, shared = split.now, shared.of(split.pairs)
@@ -265,6 +283,22 @@ class Simulation:
 
     def _pushes(self, states: BodyStates) -> Pushes:
         return pushes_of(self._pushers, states, self.time, self._scene.time_step, self._scene.gravity)
+
+    def _without_robots_own(self, contacts: ContactConstraintArray) -> ContactConstraintArray:
+        """Contacts without those between two bodies of the robot, and between it and what cannot move."""
+        a, b = (np.isin(of, self._not_pushed_by_robot) for of in (contacts.fragment_a, contacts.fragment_b))
+        others = ~(a & b)
+        return chosen_contacts(contacts, np.repeat(others, np.diff(contacts.pair_begin)), others)
+
+    def _sizes_of_waiting(
+        self, contacts: ContactConstraintArray, shared: SharedTraits, states: BodyStates
+    ) -> np.ndarray:
+        """R (p,) [m] of the pairs; inf where nothing waits for a touch, as beside a robot: see robot_contacts."""
+        if self.robot is None:
+            return shared.sizes
+        rows, begin = robot_rows(self.robot, states), contacts.pair_begin.astype(np.int64)
+        beside = beside_robot(rows, begin, shared.body_a, shared.body_b, len(states.masses))
+        return np.where(beside[shared.body_a] | beside[shared.body_b], np.inf, shared.sizes)
 
     def _falling(self, frame: FrameState) -> FrameState:
         """The frame with the velocity that it will have: as _to_search, without the torque that needs its inertia."""

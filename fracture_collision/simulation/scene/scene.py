@@ -20,6 +20,7 @@ from fracture_collision.records import BOX, CONE, CYLINDER, SPHERE, CollisionBod
 from fracture_collision.share import share_directory
 from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
 from fracture_collision.simulation.actors.hand import Hand, parse_hand
+from fracture_collision.simulation.actors.robot import RobotPlan, parse_robot
 from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, quoted, read_yaml
 from fracture_collision.simulation.config.shapes import Shape, parse_shape
 from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
@@ -107,6 +108,7 @@ class Scene(NamedTuple):
     arm: Arm | None = None  # its parts are among the bodies, under the names of arm.PARTS
     engine: str = OWN  # of ENGINES
     model: Model | None = None
+    robot: RobotPlan | None = None  # its collision shapes are among the bodies, under the names of its `shapes`
 
     @property
     def step_count(self) -> int:
@@ -173,24 +175,12 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         for i, value in enumerate(root.sequence("bodies", "all bodies"))
     )
     dragged = [body.name for body in bodies if not body.is_static]
-    arm = root.take("arm", "a robot arm, the KUKA LBR iiwa", None, "fields")
-    if arm is not None:
-        arm_fields = Fields(arm, "arm")
-        material = _material_of(arm_fields, materials)
-        arm = parse_arm(arm_fields, folder)
-        bodies += _arm_bodies(arm, material)
+    machines, more = _machines(root, materials, folder)
+    bodies += more
     names = [body.name for body in bodies]
     for body_name in names:
         if names.count(body_name) > 1:
             raise SceneError(f"bodies: the name {quoted(body_name)} occurs {names.count(body_name)} times")
-    engine = known_engine(root.text("engine", f"what solves contacts: {' or '.join(ENGINES)}", OWN))
-    model = root.take("model", "a MuJoCo model that stands in the scene; needs engine: mujoco", None, "fields")
-    if model is not None:
-        if engine != MUJOCO:
-            raise SceneError(f"model: needs engine: {MUJOCO}")
-        model_fields = Fields(model, "model")
-        links = _model_bodies(model_fields, _material_of(model_fields, materials), folder)
-        model, bodies = Model(links[0], tuple(body.name for body in links[1])), bodies + links[1]
     hand = root.take("hand", "a hand that takes hold of bodies and drags them", None, "fields")
     if hand is not None:
         hand = parse_hand(Fields(hand, "hand"), folder, dragged)
@@ -203,14 +193,40 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         solver=root.settings("solver", SOLVER, SolverSettings),
         bodies=bodies,
         hand=hand,
-        arm=arm,
-        engine=engine,
-        model=model,
+        **machines,
     )
     root.finish()
+    require_engine_for_robot(scene)
     if scene.duration > MAX_STEPS * scene.time_step:
         raise SceneError(f"duration: {scene.duration} s are more than {MAX_STEPS} steps of {scene.time_step} s")
     return scene
+
+
+def _machines(
+    root: Fields, materials: Mapping[str, Material], folder: Path | None
+) -> tuple[dict[str, Any], tuple[SceneBody, ...]]:
+    """The scene's fields `arm`, `robot`, `engine` and `model`, and the bodies that these bring."""
+    found: dict[str, Any] = {"arm": None, "robot": None, "model": None}
+    bodies: tuple[SceneBody, ...] = ()
+    arm = root.take("arm", "a robot arm, the KUKA LBR iiwa", None, "fields")
+    if arm is not None:
+        fields = Fields(arm, "arm")
+        material, found["arm"] = _material_of(fields, materials), parse_arm(fields, folder)
+        bodies += _arm_bodies(found["arm"], material)
+    robot = root.take("robot", "a robot from a URDF file, moved by PyBullet", None, "fields")
+    if robot is not None:
+        fields = Fields(robot, "robot")
+        material, found["robot"] = _material_of(fields, materials), parse_robot(fields, folder)
+        bodies += _robot_bodies(found["robot"], material)
+    found["engine"] = known_engine(root.text("engine", f"what solves contacts: {' or '.join(ENGINES)}", OWN))
+    model = root.take("model", "a MuJoCo model that stands in the scene; needs engine: mujoco", None, "fields")
+    if model is not None:
+        if found["engine"] != MUJOCO:
+            raise SceneError(f"model: needs engine: {MUJOCO}")
+        fields = Fields(model, "model")
+        file, links = _model_bodies(fields, _material_of(fields, materials), folder)
+        found["model"], bodies = Model(file, tuple(body.name for body in links)), bodies + links
+    return found, bodies
 
 
 def known_engine(name: str) -> str:
@@ -218,6 +234,12 @@ def known_engine(name: str) -> str:
     if name not in ENGINES:
         raise SceneError(f"engine: {quoted(name)} is none of {', '.join(ENGINES)}{did_you_mean(name, ENGINES)}")
     return name
+
+
+def require_engine_for_robot(scene: Scene) -> None:
+    """Raise SceneError if the scene has a robot, and an engine that cannot have one."""
+    if scene.robot is not None and scene.engine != OWN:
+        raise SceneError(f"engine: {scene.engine} has no robots: a scene with a robot needs the engine {OWN}")
 
 
 def _find(name: str) -> tuple[Path, str]:
@@ -301,6 +323,17 @@ def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
             np.zeros(3),
         )
         for part, (center, turn) in zip(PARTS, places, strict=True)
+    )  # fmt: skip
+
+
+def _robot_bodies(robot: RobotPlan, material: Material) -> tuple[SceneBody, ...]:
+    """The robot's collision shapes as bodies, at the start."""
+    return tuple(
+        SceneBody(
+            part.body, part.shape, material._replace(fracture=None), part.is_static, position, orientation, 0.0,
+            np.zeros(3), np.zeros(3),
+        )
+        for part, (position, orientation) in zip(robot.shapes, robot.start_frames(), strict=True)
     )  # fmt: skip
 
 

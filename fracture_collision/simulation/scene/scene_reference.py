@@ -12,7 +12,8 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from fracture_collision.simulation.actors.arm import JOINTS
+from fracture_collision.share import share_directory
+from fracture_collision.simulation.actors.arm import JOINTS, URDF
 from fracture_collision.simulation.config.scene_fields import Entry, Fields, SceneError, recorded
 from fracture_collision.simulation.config.shapes import KINDS, MAKERS, SHAPES, parse_shape
 from fracture_collision.simulation.scene.scene import parse_scene
@@ -24,6 +25,13 @@ EVERYTHING: dict[str, Any] = {
     "bodies": [{"name": "stone", "material": NAME, "shape": {"sphere": {"radius": 1.0}}}],
     "hand": {"track": [[0.0, 0.0, 0.0, 1.0, "stone"], [1.0, 0.0, 0.0, 1.0, ""]]},
     "arm": {"material": NAME, "swing": [[0.0] * (1 + JOINTS)]},
+    "robot": {
+        "material": NAME, "urdf": str(share_directory() / URDF),
+        "motors": [
+            {"joint": "lbr_iiwa_joint_1", "torque": 1.0, "position": [[0.0, 0.0]]},
+            {"joint": "lbr_iiwa_joint_2", "torque": 1.0, "velocity": [[0.0, 0.0]]},
+        ],
+    },
     "time_step": 0.01,
     "duration": 1.0,
 }
@@ -39,6 +47,8 @@ TITLES = {
     "bodies[]": "bodies: each",
     "hand": "hand",
     "arm": "arm",
+    "robot": "robot",
+    "robot.motors[]": "robot: motors: each",
 }
 TABLES = "## The scene\n"  # where the tables of docs/scenes.md begin
 

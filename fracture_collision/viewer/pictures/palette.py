@@ -14,7 +14,8 @@ FAMILY_HUES = (0.56, 0.03, 0.11, 0.43, 0.78, 0.33, 0.93, 0.64)
 BALL_COLOUR = (0.012, 0.012, 0.015)  # of what else moves: black and polished
 STEEL_COLOUR = (0.60, 0.62, 0.66)
 STEEL_DENSITY = 7000.0  # [kg/m3] and more: steel, such as a hammer
-ARM, ARM_COLOUR = "arm ", (0.55, 0.56, 0.55)  # how the names of a robot arm's parts begin
+# How the names of a robot's parts begin.
+ARM, ARM_COLOUR = ("arm ", "robot "), (0.55, 0.56, 0.55)
 STATIC_COLOURS = ((0.46, 0.29, 0.16), (0.34, 0.21, 0.12), (0.62, 0.60, 0.56), (0.40, 0.42, 0.44))
 # Gap [m] -> display colour: penetration red, touching yellow, about to touch green.
 GAP_SCALE = 5e-4  # [m] at this gap or more the colour is saturated
