@@ -126,17 +126,9 @@ def _runner(solver: str, command: str | None, check: Callable[[], None]) -> Iter
         from fracture_collision.solver_check.solver_runs import factory_of, run_in_lockstep
 
         factory = factory_of(solver)
-        factory_is_checked = False
-
-        def run(name: str, part: Any) -> Any:
-            nonlocal factory_is_checked
-            made = parse_scene(part.content, name)
-            if not factory_is_checked:  # what cannot be made is bad input, not a failed case
-                factory(made, True).close()
-                factory_is_checked = True
-            return run_in_lockstep(factory, made, part.change, part.strike, check)
-
-        yield run
+        yield lambda name, part: run_in_lockstep(
+            factory, parse_scene(part.content, name), part.change, part.strike, check
+        )
         return
     from fracture_collision.ros.runs.solver_run import BadCommand, command_words, run_node
 
