@@ -143,14 +143,16 @@ def _runner(solver: str, command: str | None, check: Callable[[], None]) -> Iter
 def _tell(console: Console, outcome: Any) -> None:
     """The figures of a case, and the likely causes of failures."""
     mark = "[green]pass[/]" if outcome.passes else "[red]FAIL[/]"
-    table = Table(title=f"{outcome.case.name}: {escape(outcome.case.title)}  {mark}", title_justify="left")
+    console.print(f"[bold]{outcome.case.name}[/] {mark}: {escape(outcome.case.title)}", highlight=False, soft_wrap=True)
+    table = Table()
     for column in ("", "measured", "exact", "bound", ""):
         table.add_column(column, justify="right" if column else "left")
     for figure in outcome.figures:
         passes = "" if figure.bound is None else "pass" if figure.passes else "[red]FAIL[/]"
         exact, bound = ("-" if x is None else f"{x:.5g}" for x in (figure.exact, figure.bound))
         table.add_row(escape(figure.what), f"{figure.measured:.5g}", exact, bound, passes)
-    console.print(table)
+    if outcome.figures:
+        console.print(table)
     if outcome.error:
         console.print(f"  [red]{escape(outcome.error)}[/]", highlight=False, soft_wrap=True)
     causes = {figure.cause: figure.what for figure in reversed(outcome.figures) if not figure.passes}

@@ -244,6 +244,7 @@ def _signs() -> Case:
     return Case(
         "signs", "A ball hits a cube off its centre, in free space: impulses are equal and opposite, along n",
         {"collide": Part(scene(bodies, 0.5, WEIGHTLESS, {"bouncy": {"restitution": 0.5}}))}, judge,
+        is_core=True,
     )  # fmt: skip
 
 

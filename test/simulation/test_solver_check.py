@@ -243,3 +243,33 @@ def test_the_list_has_all_cases_and_why_some_are_left_out() -> None:
     result = CliRunner().invoke(main, ["check-solver", "--list"])
     assert result.exit_code == 0
     assert all(name in result.output for name in CASES) and "impulses" in result.output
+
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "simulator_node.py"
+NODES = {
+    "simulator_node": "simulator_node --ros-args -p scene:={scene} -p wait_for_subscribers:=2",
+    "example": f"python {EXAMPLE} --ros-args -p scene:={{scene}} -p subscribers:=2",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("node", "cases"),
+    [
+        ("simulator_node", ("flight", "fracture", "strength", "bytes", "floor_force")),
+        ("example", ("core",)),
+    ],
+)
+def test_a_node_passes(node: str, cases: tuple[str, ...]) -> None:
+    chosen = [word for case in cases for word in ("--case", case)]
+    result = CliRunner().invoke(main, ["check-solver", *chosen, "--node", NODES[node]])
+    assert result.exit_code == 0, result.output
+    assert ("left out: floor_force: a node does not publish impulses" in result.output) == ("floor_force" in cases)
+
+
+@pytest.mark.slow
+def test_a_node_that_ends_early_fails_with_its_last_words() -> None:
+    command = "python -c \"raise SystemExit('cannot read {scene}')\""
+    result = CliRunner().invoke(main, ["check-solver", "--case", "frames", "--node", command])
+    assert result.exit_code == 1
+    assert "the command ended with status 1" in result.output and "cannot read /" in result.output

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -23,7 +24,7 @@ from fracture_collision.solver_check.check import CouldNotRun
 from fracture_collision.solver_check.recorded import Recorded, read_recorded
 
 SCENE = "{scene}"
-PATIENCE = 120.0  # [s] for a scene of at most 1,000 steps
+PATIENCE = 300.0  # [s] for a scene of at most 1,000 steps
 # [s] for the recorder to receive the last messages when the simulator has ended.
 RECORDER_PATIENCE = 1.0
 POLL_INTERVAL = 0.05  # [s]
@@ -34,14 +35,17 @@ class BadCommand(ValueError):
 
 
 def command_words(command: str, scene: Path) -> list[str]:
-    """The words of a command, with the scene's path in place of {scene}. Raises BadCommand."""
+    """The words of a command, with the scene's path in place of {scene}. Raises BadCommand.
+
+    Commands of this environment, such as python and simulator_node, are found first.
+    """
     if SCENE not in command:
         raise BadCommand(f"{command!r} has no {SCENE}: the path of the scene file is put there")
     try:
         words = [word.replace(SCENE, str(scene)) for word in shlex.split(command)]
     except ValueError as error:
         raise BadCommand(f"{command!r}: {error}") from error
-    if shutil.which(words[0]) is None:
+    if shutil.which(words[0], path=_path()) is None:
         raise BadCommand(f"{words[0]}: no such command")
     return words
 
@@ -97,8 +101,8 @@ def _simulator(words: list[str], domain_id: int, log: Path) -> Iterator[subproce
     """The process of a command; it and what it has started end with this."""
     with log.open("wb") as stream:
         process = subprocess.Popen(
-            words, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, env=loopback_environment(domain_id),
-            start_new_session=True,
+            [shutil.which(words[0], path=_path()) or words[0], *words[1:]], stdin=subprocess.DEVNULL, stdout=stream,
+            stderr=stream, env=loopback_environment(domain_id) | {"PATH": _path()}, start_new_session=True,
         )  # fmt: skip
     try:
         yield process
@@ -111,6 +115,11 @@ def _simulator(words: list[str], domain_id: int, log: Path) -> Iterator[subproce
                 except subprocess.TimeoutExpired:
                     continue
         process.wait()
+
+
+def _path() -> str:
+    """PATH, with the commands of this environment first."""
+    return os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)))
 
 
 def _end_of(log: Path) -> str:
