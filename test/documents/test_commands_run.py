@@ -50,8 +50,8 @@ SLOW = (
     "python -m benchmarks.scene_seeds pane --seeds 1",
     "fracture-collision film out/smash/bag",
     "fracture-collision scene drop_bunnies",
-    'fracture-collision check-solver --case drift --node "python examples/simulator_node.py --ros-args -p scene:={scene}'
-    ' -p subscribers:=2"',
+    'fracture-collision check-solver --case drift --node "python examples/simulator_node.py --ros-args'
+    ' -p scene:={scene} -p subscribers:=2"',
     "python benchmarks/numerics.py",
     "python benchmarks/certificate.py",
     "python benchmarks/field_errors.py",
