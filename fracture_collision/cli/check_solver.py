@@ -6,6 +6,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,7 @@ def check_solver(solver: str | None, names: tuple[str, ...], command: str | None
     except KeyboardInterrupt:
         console.print(f"stopped after {len(outcomes)} of {len(chosen)} cases", highlight=False)
         sys.exit(INTERRUPTED)
+    console.print(_summary(outcomes))
     for case in left_out:
         console.print(f"left out: {case.name}: {case.not_by_node}", highlight=False, soft_wrap=True)
     failed = [outcome.case.name for outcome in outcomes if not outcome.passes]
@@ -138,6 +140,19 @@ def _runner(solver: str, command: str | None, check: Callable[[], None]) -> Iter
         raise BadInput(f"--node: {error}") from error
     with tempfile.TemporaryDirectory(prefix="check_solver_") as folder:
         yield lambda name, part: run_node(command, part, name, Path(folder), check)
+
+
+def _summary(outcomes: list[Any]) -> Table:
+    """A row for each case, with the figure that comes closest to its bound, or is farthest beyond."""
+    table = Table("case", "", "figures", "closest to its bound", "share of the bound")
+    for outcome in outcomes:
+        mark = "[green]pass[/]" if outcome.passes else "[red]FAIL[/]"
+        closest, share = "-", "-"
+        if outcome.figures:
+            most = max(outcome.figures, key=lambda figure: inf if figure.share != figure.share else figure.share)
+            closest, share = escape(most.what), f"{most.share:.2g}"
+        table.add_row(outcome.case.name, mark, str(len(outcome.figures)), closest, share)
+    return table
 
 
 def _tell(console: Console, outcome: Any) -> None:

@@ -41,6 +41,15 @@ class Figure(NamedTuple):
         return self.bound is None or bool(abs(self.measured - (self.exact or 0.0)) <= self.bound)
 
 
+    @property
+    def share(self) -> float:
+        """Of its bound that it uses up; above 1 or not a number: it fails. 0 if it is not judged."""
+        if self.bound is None:
+            return 0.0
+        off = abs(self.measured - (self.exact or 0.0))
+        return off / self.bound if self.bound > 0.0 else math.inf if off else 0.0 * off
+
+
 Figures = Iterator[Figure]
 
 
@@ -331,8 +340,7 @@ def _restitution() -> Case:
                 )  # fmt: skip
                 energies = (track.velocities() ** 2).sum(axis=1)
                 yield Figure(
-                    f"{what}, e = {e}: energy over that at first", float(energies.max() / energies[0]),
-                    None if math.isnan(energies[0]) else 1.0, 1e-9,
+                    f"{what}, e = {e}: energy over that at first", float(energies.max() / energies[0]), 1.0, 1e-9,
                     "energy rises: restitution is added to a velocity that was already reversed",
                 )  # fmt: skip
         heights = runs["bounce"].track("ball").centers[:, 2] - 0.05

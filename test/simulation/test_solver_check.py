@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from functools import cache
 from pathlib import Path
@@ -17,7 +18,7 @@ from fracture_collision.extras import missing_of
 from fracture_collision.simulation.dynamics import Given, Solved
 from fracture_collision.simulation.own_dynamics import OwnDynamics
 from fracture_collision.simulation.scene.scene import Scene, load_scene, parse_scene
-from fracture_collision.solver_check.cases import CASES
+from fracture_collision.solver_check.cases import CASES, Figure
 from fracture_collision.solver_check.check import Outcome, check_case
 from fracture_collision.solver_check.recorded import matrices, rotation_vectors
 from fracture_collision.solver_check.solver_runs import (
@@ -161,6 +162,16 @@ def test_a_wrong_solver_fails_with_its_cause(solver: type[Mistaken], case: str, 
 def test_a_pyramid_is_found_across_the_diagonal_alone() -> None:
     wrong = [each.what for each in outcome_of("slope", Pyramid).figures if not each.passes]
     assert wrong and all("diagonal" in what or "oblique" in what for what in wrong), wrong
+
+
+def test_a_figure_passes_within_its_bound() -> None:
+    for measured, exact, bound, passes, share in (
+        (1.0, 1.0, 0.0, True, 0.0), (1.5, 1.0, 0.5, True, 1.0), (0.4, 1.0, 0.5, False, 1.2),
+        (math.nan, 0.0, 1.0, False, math.nan), (2.0, 1.0, 0.0, False, math.inf), (math.nan, 0.0, 0.0, False, math.inf),
+        (7.0, None, None, True, 0.0),
+    ):  # fmt: skip
+        figure = Figure("", measured, exact, bound)
+        assert figure.passes == passes and figure.share == pytest.approx(share, nan_ok=True), figure
 
 
 def test_an_error_of_a_solver_fails_the_case() -> None:
