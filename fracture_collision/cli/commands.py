@@ -9,6 +9,7 @@ import click
 from fracture_collision import __version__
 from fracture_collision.cli.bags import digest, mend, record
 from fracture_collision.cli.bench import bench
+from fracture_collision.cli.check_solver import check_solver
 from fracture_collision.cli.play import play, teleop
 from fracture_collision.cli.recorded import export, film, view
 from fracture_collision.cli.replay import replay
@@ -26,6 +27,7 @@ Examples:
   fracture-collision scene bricks                 a scene without ROS: times, tables, a film strip
   fracture-collision scene --help                 ... and its options
   fracture-collision bench                        the paper's figures and tables, in some minutes
+  fracture-collision check-solver mujoco          test a contact solver against closed forms
   fracture-collision scenes                       names of all scenes
   fracture-collision settings                     settings of the service, for --settings NAME=VALUE
   fracture-collision digest out/smash/bag         checksums, equal for equal runs
@@ -80,6 +82,7 @@ def main() -> None:
 main.add_command(smash)
 main.add_command(scene)
 main.add_command(bench)
+main.add_command(check_solver)
 for command in (play, teleop, view, film, export, replay, record, mend, digest):
     main.add_command(command)
 

@@ -96,6 +96,9 @@ class _Slots(NamedTuple):
     qpos: np.ndarray  # (s, 7) position, quaternion w x y z
     qvel: np.ndarray  # (s, 6) linear, world; angular, body
     qacc: np.ndarray
+    smooth: np.ndarray  # (s, 6) accelerations without contacts
+    contact: np.ndarray  # (s, 6) generalized forces of contacts
+    inertia: np.ndarray  # (s, 6)
     warm: np.ndarray
     applied: np.ndarray  # (s, 6) generalized forces, as qvel
 
@@ -170,6 +173,7 @@ class MujocoDynamics(SleepingWorld):
         world.name = "world"
         _make_handle(world)
         self._count = 0
+        self._slips = np.zeros(0)  # (N,) [m/s] of the contacts of this step
         self._poses: np.ndarray | None = None  # accelerations that correct poses in this step, of all; None: as all
         self._compile(SLOTS)
 
@@ -225,7 +229,7 @@ class MujocoDynamics(SleepingWorld):
             share[overloaded] = strengths[overloaded] / loads[overloaded]
             share = np.minimum(share[contacts.body_a], share[contacts.body_b])
             after, is_applied = share[:, None] * after, share < 1.0
-            capped, _, _ = self._velocities(contacts, after, bodies, is_applied)
+            capped, _, _ = self._velocities(contacts, after, bodies, is_applied, True)
             # as in solve_with_strengths: in this step poses move as if the fragments that break held
             velocities, drift = capped, drift + velocities - capped
         impulses[at] = after
@@ -252,6 +256,10 @@ class MujocoDynamics(SleepingWorld):
         )
         if (shares < 1.0).any():
             v = self._until(step, shares * self._time_step)
+            touched = np.zeros(len(v) + 1, bool)
+            touched[step.contacts.body_a] = touched[step.contacts.body_b] = True
+            # or the course would not have the momentum
+            moves += np.where(touched[:-1, None], v - step.velocities, 0.0)
         drift = shares[:, None] * moves - v
         self._move_model()
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
@@ -278,7 +286,7 @@ class MujocoDynamics(SleepingWorld):
         self._put_bodies(states, bodies)
         impulses, poses = self._warm_start.impulses, self._poses
         rows = step.contacts.rows
-        velocities, _, local = self._velocities(step.contacts, impulses[rows], bodies, step.is_applied, False)
+        velocities, _, local = self._velocities(step.contacts, impulses[rows], bodies, step.is_applied, True)
         found = np.einsum("nk,nkj->nj", local, step.contacts.frames)
         impulses[rows] = found if step.is_applied is None else np.where(
             step.is_applied[:, None], impulses[rows], found
@@ -312,7 +320,8 @@ class MujocoDynamics(SleepingWorld):
         self._slots = _Slots(
             data.qpos[q : q + 7 * count].reshape(count, 7),
             *(x[v : v + 6 * count].reshape(count, 6)
-              for x in (data.qvel, data.qacc, data.qacc_warmstart, data.qfrc_applied)),
+              for x in (data.qvel, data.qacc, data.qacc_smooth, data.qfrc_constraint, self._model.dof_M0,
+                        data.qacc_warmstart, data.qfrc_applied)),
         )  # fmt: skip
         self._in_slots = np.zeros(0, np.uint32)
         named = {name_of(self._model, geom): geom for geom in range(self._model.ngeom)}
@@ -401,13 +410,13 @@ class MujocoDynamics(SleepingWorld):
 
     def _velocities(
         self, contacts: _Contacts, impulses: np.ndarray, bodies: RigidBodies, is_applied: np.ndarray | None = None,
-        corrects: bool = True,
+        is_again: bool = False,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Velocities (n, 6) after the step, those that correct poses, and impulses (N, 3) [N s] along the frames.
 
         impulses (N, 3), world axes, on b: where the solver begins; is_applied (N,) bool: they are applied as they are.
         """
-        model, data, n, h = self._model, self._data, len(bodies.masses), self._time_step
+        model, data, h = self._model, self._data, self._time_step
         data.xfrc_applied[:], self._poses = 0.0, None
         if is_applied is not None:
             self._apply(contacts, impulses, is_applied)
@@ -433,11 +442,12 @@ class MujocoDynamics(SleepingWorld):
         forces, pose = np.zeros((len(contacts.rows), 3)), None
         if len(chosen):
             picked = _Contacts._make(column[chosen] for column in contacts)
-            forces[chosen], pose = self._solve_rounds(picked, chosen, impulses[chosen] / h, corrects)
+            forces[chosen], accelerations, pose = self._solve_rounds(picked, chosen, impulses[chosen] / h, is_again)
         else:
             mujoco.mj_fwdConstraint(model, data)
-        self._accelerations = ByFragment(self._in_slots, self._slots.qacc[:n].copy())
-        velocities = self._after(bodies, self._slots.qacc[:n])
+            accelerations = self._by_forces()
+        self._accelerations = ByFragment(self._in_slots, accelerations)
+        velocities = self._after(bodies, accelerations)
         drift = np.zeros_like(velocities)
         if pose is not None:
             drift = self._after(bodies, pose) - velocities
@@ -461,6 +471,14 @@ class MujocoDynamics(SleepingWorld):
                 damping[model.jnt_dofadr[joint]] += gear * gear * max(rate, 0.0)
         diagonal = (model.M_rowadr + model.M_rownnz - 1)[: self._dofs_at]
         data.M[diagonal] += self._time_step * damping
+
+    def _by_forces(self) -> np.ndarray:
+        """Accelerations (n, 6) of the bodies by the forces of contacts, which keep momentum.
+
+        MuJoCo's own are the variable that it minimizes over: they agree with the forces within its tolerance.
+        """
+        n, slots = len(self._in_slots), self._slots
+        return slots.smooth[:n] + slots.contact[:n] / slots.inertia[:n]
 
     def _after(self, bodies: RigidBodies, accelerations: np.ndarray) -> np.ndarray:
         """Velocities (n, 6) after the step, of slots with `accelerations` (n, 6); asleep: 0."""
@@ -511,11 +529,12 @@ class MujocoDynamics(SleepingWorld):
         to.friction[:] = np.column_stack((friction, friction, arms, arms, arms))
 
     def _solve_rounds(
-        self, contacts: _Contacts, chosen: np.ndarray, forces: np.ndarray, corrects: bool
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Forces (N, 3) [N] along the frames, and accelerations (n, 6) of what corrects poses, None: as all.
+        self, contacts: _Contacts, chosen: np.ndarray, forces: np.ndarray, is_again: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Forces (N, 3) [N] along the frames, accelerations (n, 6), and those of what corrects poses; None: the same.
 
-        chosen (N,): the contacts' numbers in MuJoCo; forces (N, 3) [N], world axes: where it begins; corrects: poses.
+        chosen (N,): the contacts' numbers in MuJoCo; forces (N, 3) [N], world axes: where it begins; is_again: after a
+        solve of all contacts in this step, whose slip it begins with and whose poses stay.
         """
         model, data, h = self._model, self._data, self._time_step
         normal = data.contact.efc_address[chosen]
@@ -523,12 +542,15 @@ class MujocoDynamics(SleepingWorld):
             normal, data.efc_vel[normal].copy(), np.stack([data.efc_vel[normal + k] for k in (1, 2)]),
             np.stack([data.efc_R[normal + k] for k in range(3)]),
         )  # fmt: skip
-        least, for_poses = self._least_velocities(contacts, rows.velocity)
+        change = np.zeros(data.nefc)
+        mujoco.mj_mulJacVec(model, data, change, data.qacc_smooth)
+        least, for_poses = self._least_velocities(contacts, rows.velocity, h * change[normal])
         friction = np.maximum(contacts.friction, LEAST_FRICTION)
         steady = rows.velocity > -contacts.bounce_speeds  # in a blow the slip is not known
         slip = np.where(steady, np.sqrt((rows.sliding * rows.sliding).sum(axis=0)), 0.0)
+        if is_again:
+            slip = self._slips[chosen]
         pressed = rows.softness * np.einsum("nkj,nj->kn", contacts.frames, forces)
-        change = np.zeros(data.nefc)
 
         def solve(least: np.ndarray) -> None:
             data.efc_aref[normal] = (least - friction * slip - rows.velocity) / h + pressed[0]
@@ -549,21 +571,29 @@ class MujocoDynamics(SleepingWorld):
             if off < ACCURACY:
                 break
             slip, pressed = slips, presses
+        if not is_again:
+            self._slips = slip
         found = np.column_stack([data.efc_force[normal + k] for k in range(3)])
-        if not corrects or not (for_poses > least).any():
-            return found, None
+        by_forces = self._by_forces()
+        if is_again or not (for_poses > least).any():
+            return found, by_forces, None
         accelerations = data.qacc.copy()
         solve(for_poses)
-        poses, self._poses = self._slots.qacc.copy(), data.qacc.copy()
+        self._poses = data.qacc.copy()
         data.qacc[:] = data.qacc_warmstart[:] = accelerations
-        return found, poses[: len(self._in_slots)]
+        return found, by_forces, self._by_forces()
 
-    def _least_velocities(self, contacts: _Contacts, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Least normal velocities (N,) [m/s] after the step: of the bodies, and of what moves their poses."""
+    def _least_velocities(
+        self, contacts: _Contacts, v: np.ndarray, change: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """Least normal velocities (N,) [m/s] after the step: of the bodies, and of what moves their poses.
+
+        v, change (N,) [m/s]: before it, and how it would change without contacts: a blow takes place at its beginning.
+        """
         settings, h, gaps = self._settings, self._time_step, contacts.gaps
         is_blow = (v < -contacts.bounce_speeds) & (gaps < -v * h)
         least = np.where(gaps > 0.0, -gaps / h, 0.0)
-        least = np.where(is_blow, np.maximum(least, -contacts.restitution * v), least)
+        least = np.where(is_blow, np.maximum(least, change - contacts.restitution * v), least)
         deep = -gaps - settings.rest_slop * contacts.sizes
         speed = np.minimum(settings.drift_fraction * deep / h, settings.drift_speed * contacts.sizes)
         return least, np.where(deep > 0.0, np.maximum(least, speed), least)
