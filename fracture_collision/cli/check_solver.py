@@ -62,6 +62,7 @@ def check_solver(solver: str | None, names: tuple[str, ...], command: str | None
     console = Console()
     interruption = Interruption(console, "stopped")
     # Imported late: --help should not wait for numba.
+    from fracture_collision.extras import MissingExtra
     from fracture_collision.solver_check.cases import CASES
     from fracture_collision.solver_check.check import Outcome, check_case
     from fracture_collision.solver_check.solver_runs import UnknownSolver
@@ -89,7 +90,7 @@ def check_solver(solver: str | None, names: tuple[str, ...], command: str | None
                     outcomes.append(check_case(case, shown))
                 _tell(console, outcomes[-1])
                 interruption.check()
-    except UnknownSolver as error:
+    except (UnknownSolver, MissingExtra) as error:
         raise BadInput(str(error)) from error
     except KeyboardInterrupt:
         console.print(f"stopped after {len(outcomes)} of {len(chosen)} cases", highlight=False)
