@@ -81,7 +81,6 @@ LEAST_FRICTION = 1.0e-5
 # [m] Slots that are not in use stand there, one beside the other.
 PARKED = 1000.0
 
-
 _NO_LINKS: Mapping[str, int] = MappingProxyType({})
 # Attributes of MujocoDynamics that follow from the others.
 _OF_MUJOCO = {
@@ -95,7 +94,6 @@ class _Slots(NamedTuple):
 
     qpos: np.ndarray  # (s, 7) position, quaternion w x y z
     qvel: np.ndarray  # (s, 6) linear, world; angular, body
-    qacc: np.ndarray
     smooth: np.ndarray  # (s, 6) accelerations without contacts
     contact: np.ndarray  # (s, 6) generalized forces of contacts
     inertia: np.ndarray  # (s, 6)
@@ -320,7 +318,7 @@ class MujocoDynamics(SleepingWorld):
         self._slots = _Slots(
             data.qpos[q : q + 7 * count].reshape(count, 7),
             *(x[v : v + 6 * count].reshape(count, 6)
-              for x in (data.qvel, data.qacc, data.qacc_smooth, data.qfrc_constraint, self._model.dof_M0,
+              for x in (data.qvel, data.qacc_smooth, data.qfrc_constraint, self._model.dof_M0,
                         data.qacc_warmstart, data.qfrc_applied)),
         )  # fmt: skip
         self._in_slots = np.zeros(0, np.uint32)
