@@ -193,6 +193,7 @@ def test_a_replay_with_answers_of_another_type_fails(bag: Path, tmp_path: Path) 
     assert f"{CONTACTS} (other/msg/Contacts)" in words
 
 
+@pytest.mark.slow
 def test_missing_states_and_answers_are_reported(bag: Path, tmp_path: Path) -> None:
     """A bag may lack states or answers: here those of a step in the middle and of the last."""
     for name, topic in (("answers", CONTACTS), ("questions", "/fragment_states")):

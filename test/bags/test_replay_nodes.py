@@ -107,6 +107,7 @@ def test_nodes_record_the_same_as_the_library(stage: StageWithClients, tmp_path:
     assert replayed(read_runs(recording.bag), **found._asdict()).exact
 
 
+@pytest.mark.slow
 def test_a_killed_recorder_leaves_a_readable_bag(stage: StageWithClients, tmp_path: Path) -> None:
     long_scene = scene_of_length("pane", 600.0, tmp_path)
     recording = Recording(stage, tmp_path / "bag", long_scene, {"threads": 1})

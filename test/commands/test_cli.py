@@ -117,6 +117,7 @@ def test_pictures_are_not_blank(smashed: tuple[Path, str]) -> None:
         assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
 
 
+@pytest.mark.slow
 def test_two_runs_are_the_same_byte_for_byte_but_for_their_ids(smashed: tuple[Path, str], tmp_path: Path) -> None:
     first, _ = smashed
     write_earlier_run(tmp_path / "out")

@@ -60,6 +60,7 @@ def processes_of(session: int) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
     with begun(tmp_path, "bench", "fig16", "--full", "--workers", "2", "--out", tmp_path / "out") as process:

@@ -122,7 +122,7 @@ def test_two_diagonal_planes_through_the_nodes_of_a_cube() -> None:
     assert made and deepest_sample(*made) <= DEEP
 
 
-@pytest.mark.parametrize("kind", [CollisionWorld, SampledWorld])
+@pytest.mark.parametrize("kind", [CollisionWorld, pytest.param(SampledWorld, marks=pytest.mark.slow)])
 def test_fragments_of_cuts_through_nodes_do_not_penetrate_in_place(kind: type[CollisionWorld]) -> None:
     assert check(islice(lattice_cuts(), 0, None, 13), kind) > 100
     assert check(islice(random_cuts(1), 100), kind) > 60

@@ -102,6 +102,7 @@ def test_few_files_are_sent_at_a_time_and_those_of_closed_pages_forgotten(page: 
         assert got.get(timeout=30.0).content == b"12"
 
 
+@pytest.mark.slow
 def test_a_browser_sends_a_file(page: Page, got: Queue[Upload], tmp_path: Path) -> None:
     (tmp_path / "large.obj").write_bytes(bytes(MOST_BYTES + 1))
     (tmp_path / "small.obj").write_bytes(bytes(1_300_000))  # three parts

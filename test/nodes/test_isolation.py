@@ -102,6 +102,7 @@ def default_environment(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     return loopback_environment(free_domain_id())
 
 
+@pytest.mark.slow
 def test_another_machine_does_not_discover_the_service(machines: Machines, default_environment: dict[str, str]) -> None:
     assert not seen_from_elsewhere(machines, default_environment)
 

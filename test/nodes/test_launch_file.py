@@ -116,6 +116,7 @@ def test_the_launch_file_runs_a_scene(launch) -> None:
     assert re.search(r"\[cell\.collision_node\]: run \d+ begins", launched.log("collision_node"))
 
 
+@pytest.mark.slow
 def test_the_launch_file_of_play_serves_a_page(launch, tmp_path: Path) -> None:
     launched = launch(file="play", scene="pane", folder=str(tmp_path / "play"))
 

@@ -105,6 +105,7 @@ def test_answers_of_a_whole_run(scene: str) -> None:
     assert is_busy(recording).any() or scene.startswith("pane")  # it falls apart slowly
 
 
+@pytest.mark.slow
 def test_errors_at_steps_of_a_run() -> None:
     recording = record("piggy_bank@0.25")
     (own,) = errors_of(recording, TWO_THREADS, {}, count=2)

@@ -65,6 +65,7 @@ def shows_bricks(picture: np.ndarray) -> bool:
     return np.count_nonzero(blue(picture)) > 80 and np.count_nonzero(red(picture)) > 80
 
 
+@pytest.mark.slow
 def test_a_bag_is_played_reloaded_and_shown_in_two_windows(browser: Any, player: BagPlayer) -> None:
     with opened(browser, player.page.address) as page:
         until(lambda: picture_of(page), shows_bricks)

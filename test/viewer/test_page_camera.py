@@ -74,6 +74,7 @@ def test_another_scene_moves_all_cameras_and_a_new_run_of_the_same_one_none(brow
             assert seen_bricks(other) < 30
 
 
+@pytest.mark.slow
 def test_a_camera_stays_above_the_floor(browser: Any) -> None:
     with Page() as page:
         page.cast_shadows(False)

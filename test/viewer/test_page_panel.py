@@ -183,6 +183,7 @@ def test_a_new_run_has_no_figures_of_the_last_one_and_a_hint_if_it_is_paused() -
         assert page._summary._said == page._summary._line.content == PAUSED_WORDS
 
 
+@pytest.mark.slow
 def test_the_pace_is_shown_with_a_message_while_it_is_slow(browser: Any) -> None:
     with Page(ALL, START) as page, opened(browser, page.address) as seen:
         begin(page)
