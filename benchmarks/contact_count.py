@@ -7,7 +7,6 @@ in the last hundred steps, the share whose id was listed in the step before.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Column, Table
 
+from benchmarks.engines import show
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import ContactConstraintArray
 from fracture_collision.simulation.dynamics import Given, Solved
@@ -112,14 +112,8 @@ def main(scenes: tuple[str, ...], csv_path: Path | None) -> None:
     cases += [(scene, DEFAULT, False) for scene in awake]
     run_of(awake[0]._replace(duration=0.1), DEFAULT, True)  # loads kernels
     rows = [run_of(*case) for case in track(cases, "runs", console=Console(stderr=True))]
-    console = Console()
-    console.width = max(console.width, 120)
-    console.print(table_of(sorted(rows, key=lambda row: (row.scene, row.start == "cold", row.per_pair))))
-    if csv_path:
-        with csv_path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(Row._fields)
-            writer.writerows([*row[:3], *(f"{value:.4g}" for value in row[3:])] for row in rows)
+    rows.sort(key=lambda row: (row.scene, row.start == "cold", row.per_pair))
+    show(table_of(rows), rows, 3, csv_path)
 
 
 if __name__ == "__main__":

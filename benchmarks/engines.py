@@ -8,9 +8,10 @@ which a body joins or something breaks. Whether a run is right is what benchmark
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from itertools import pairwise, product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
@@ -25,6 +26,7 @@ from fracture_collision.simulation.scene.scene import ENGINES, Scene, SceneError
 from fracture_collision.world import Settings
 
 MILLI = 1e3
+WIDTH = 130  # of the table, which is wider than many terminals
 
 
 class Row(NamedTuple):
@@ -87,6 +89,18 @@ def table_of(rows: list[Row]) -> Table:
     return table
 
 
+def show(table: Table, rows: Sequence[Any], texts: int, csv_path: Path | None) -> None:
+    """Print the table, and write the rows, NamedTuples of `texts` texts and integers, then numbers, to a file."""
+    console = Console()
+    console.width = max(console.width, WIDTH)
+    console.print(table)
+    if csv_path:
+        with csv_path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(rows[0]._fields)
+            writer.writerows([*row[:texts], *(f"{value:.4g}" for value in row[texts:])] for row in rows)
+
+
 @click.command(epilog="Example: python -m benchmarks.engines plates bricks --csv docs/engines.csv")
 @click.argument("scenes", nargs=-1, metavar="[SCENES]...")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="File for a row per run.")
@@ -100,14 +114,7 @@ def main(scenes: tuple[str, ...], csv_path: Path | None) -> None:
     for engine in ENGINES:
         run_of(with_engine(load_scene("pane"), engine))
     rows = [run_of(case) for case in track(cases, "runs", console=Console(stderr=True))]
-    console = Console()
-    console.width = max(console.width, 130)
-    console.print(table_of(rows))
-    if csv_path:
-        with csv_path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(Row._fields)
-            writer.writerows([*row[:3], *(f"{value:.4g}" for value in row[3:])] for row in rows)
+    show(table_of(rows), rows, 3, csv_path)
 
 
 if __name__ == "__main__":

@@ -19,9 +19,7 @@ def dynamics_of(scene: Scene, looks_ahead: bool) -> Dynamics:
 
     MissingExtra if it is not installed, or a robot's; SceneError if it cannot have the scene's robot.
     """
-    require_engine_for_robot(scene)
-    if scene.robot is not None:
-        need("bullet", "a scene with a robot")
+    _require(scene)
     if scene.engine == MUJOCO:
         from fracture_collision.simulation.mujoco_dynamics import MujocoDynamics
 
@@ -38,5 +36,14 @@ def with_engine(scene: Scene, engine: str | None) -> Scene:
         scene = scene._replace(engine=known_engine(engine))
         if scene.model is not None and scene.engine != MUJOCO:
             raise SceneError(f"engine: {scene.name} has a MuJoCo model, which needs {MUJOCO}, not {engine}")
-    dynamics_of(scene, False).close()
+    _require(scene)
     return scene
+
+
+def _require(scene: Scene) -> None:
+    """Raise MissingExtra or SceneError if the scene's engine is not there, or cannot have its robot."""
+    require_engine_for_robot(scene)
+    if scene.robot is not None:
+        need("bullet", "a scene with a robot")
+    if scene.engine == MUJOCO:
+        need("mujoco", "the engine MuJoCo")

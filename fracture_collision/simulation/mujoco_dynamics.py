@@ -57,6 +57,7 @@ from fracture_collision.simulation.solver.contact_solver import (  # noqa: E402
     RigidBodies,
     Solution,
     SolverSettings,
+    sums_of_bodies,
 )
 from fracture_collision.simulation.solver.touch_ahead import Course, shares_of_step  # noqa: E402
 from fracture_collision.simulation.solver.warm_start import (  # noqa: E402
@@ -192,24 +193,19 @@ class MujocoDynamics(SleepingWorld):
 
     def begin(self, planned: Planned | None) -> BodyStates:
         """As in Dynamics."""
-        states = self.states()
-        return self._before_contacts(states, planned, np.full(len(states.masses), self._time_step))
+        return self._to_search(self.states(), planned)
 
-    def _searched_of(self, given: Given) -> np.ndarray:
-        """(n, 6) velocities that the service looked ahead with."""
-        states = self._before_contacts(
-            given.states, given.planned, np.full(len(given.states.masses), self._time_step)
-        )
-        return states.velocities()
+    def _to_search(self, states: BodyStates, planned: Planned | None) -> BodyStates:
+        return self._before_contacts(states, planned, np.full(len(states.masses), self._time_step))
 
     def solve(self, given: Given) -> Solved:
         """As in Dynamics."""
-        searched = self._searched_of(given) if self._looks_ahead else None
+        states, n, (now, pairs, *_) = given.states, len(given.states.masses), given.contacts
+        searched = self._to_search(states, given.planned).velocities() if self._looks_ahead else None
         self._settle(given)
-        states, n, (now, *_) = given.states, len(given.states.masses), given.contacts
         asleep, strengths = self._rest.asleep, given.traits.strengths
         bodies = self._rigid_bodies(states, given.pushes, np.full(n, self._time_step), asleep)
-        contacts = _contacts_of(now, given.contacts.pairs, asleep, self._geoms_of)
+        contacts = _contacts_of(now, pairs, asleep, self._geoms_of)
         begin = now.pair_begin.astype(np.int64)
         impulses, rolling = carried_impulses(
             now.fragment_a, now.fragment_b, begin, now.contact_ids, self._warm_start
@@ -218,10 +214,10 @@ class MujocoDynamics(SleepingWorld):
         self._put_bodies(states, bodies)
         velocities, drift, local = self._velocities(contacts, impulses[at], bodies)
         after = np.einsum("nk,nkj->nj", local, contacts.frames)
-        loads = np.zeros(n + 1)
-        for body in (contacts.body_a, contacts.body_b):
-            np.add.at(loads, body, local[:, 0])
-        overloaded, is_applied = np.flatnonzero(loads[:-1] > strengths), None
+        normal, pressing = np.zeros((2, len(now.gaps)))
+        normal[at] = local[:, 0]
+        loads = sums_of_bodies(normal, begin, pairs.body_a, pairs.body_b, n)
+        overloaded, is_applied = np.flatnonzero(loads > strengths), None
         if len(overloaded):
             share = np.ones(n + 1)
             share[overloaded] = strengths[overloaded] / loads[overloaded]
@@ -231,8 +227,6 @@ class MujocoDynamics(SleepingWorld):
             # as in solve_with_strengths: in this step poses move as if the fragments that break held
             velocities, drift = capped, drift + velocities - capped
         impulses[at] = after
-        normal, pressing = np.zeros(len(now.gaps)), np.zeros(len(now.gaps))
-        normal[at] = local[:, 0]
         is_blow = np.einsum("nj,nj->n", contacts.frames[:, 0], _speeds(contacts, bodies)) < -contacts.bounce_speeds
         pressing[at] = np.where(is_blow & (contacts.restitution > 0.0), 0.0, local[:, 0])
         self._warm_start = WarmStart(now.fragment_a, now.fragment_b, begin, now.contact_ids, impulses, rolling)
