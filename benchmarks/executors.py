@@ -1,9 +1,9 @@
 """ROS overhead of a small scene's steps with each executor: from states published to contacts received.
 
-    python -m benchmarks.executors [--scene plates] [--seconds 1] [--repeats 3]
+    python -m benchmarks.executors [--scene plates] [--seconds 1] [--repeats 3] [--watched]
 
 Service and simulator are the project's own nodes. `single` is rclpy's SingleThreadedExecutor, which they use.
-`events` is rclpy.experimental's EventsExecutor. Repeats are interleaved.
+`events` is rclpy.experimental's EventsExecutor. Repeats are interleaved. With `--watched`, a recorder and two more nodes subscribe.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rclpy
 import yaml
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.utilities import get_default_context
 
@@ -32,6 +33,7 @@ from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMUL
 from fracture_collision.ros.service import collision_node
 from fracture_collision.ros.service.incoming import Incoming
 from fracture_collision.ros.start import start
+from fracture_collision.ros.wire import qos
 from fracture_collision.share import share_directory
 
 
@@ -64,6 +66,9 @@ PATIENCE = 60.0  # [s] for one run
 
 def main() -> None:
     """Prints a table, or runs one node with an executor, for this program's own child processes."""
+    if sys.argv[1:] == ["--listen"]:
+        _listen()
+        return
     if sys.argv[1:2] == ["--node"]:
         collision_node.SingleThreadedExecutor = simulator_node.SingleThreadedExecutor = EXECUTORS[sys.argv[2]]
         del sys.argv[1:3]
@@ -73,11 +78,12 @@ def main() -> None:
     parser.add_argument("--scene", default="plates", help="a scene of config/scenes (default: plates)")
     parser.add_argument("--seconds", type=float, default=1.0, help="simulated time (default: 1)")
     parser.add_argument("--repeats", type=int, default=3, help="runs with each executor (default: 3)")
+    parser.add_argument("--watched", action="store_true", help="a recorder and two more nodes subscribe to the run")
     options = parser.parse_args()
     found: dict[str, list[np.ndarray]] = {name: [] for name in EXECUTORS}
     for _ in range(options.repeats):
         for name, times in found.items():
-            times.append(_overhead(name, options.scene, options.seconds))
+            times.append(_overhead(name, options.scene, options.seconds, options.watched))
     print(f"{options.scene}, {options.seconds:g} s, {options.repeats} runs each; overhead of a step in ms")
     print(f"{'executor':10}{'median':>8}{'99 %':>8}  medians of the runs")
     for name, times in found.items():
@@ -86,7 +92,17 @@ def main() -> None:
         print(f"{name:10}{np.median(together):8.2f}{np.percentile(together, 99):8.2f}  {medians}")
 
 
-def _overhead(executor: str, scene: str, seconds: float) -> np.ndarray:
+def _listen() -> None:
+    """A node that subscribes to states and contacts, as rclpy deserializes them, until it is interrupted."""
+    rclpy.init()
+    node = rclpy.create_node(f"listener_{os.getpid()}")
+    for topic in (qos.FRAGMENT_STATES, qos.CONTACT_CONSTRAINTS):
+        node.create_subscription(topic.message_class, topic.name, lambda message: None, topic.qos)
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
+
+
+def _overhead(executor: str, scene: str, seconds: float, watched: bool) -> np.ndarray:
     """[s] of each step after WARM_UP: round trip less the service's computation."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder, domain_id = Path(name), free_domain_id()
@@ -94,11 +110,9 @@ def _overhead(executor: str, scene: str, seconds: float) -> np.ndarray:
         file = folder / f"{scene}.yaml"
         file.write_text(yaml.safe_dump(content | {"duration": seconds}))
 
-        def node(module: str, **parameters: object) -> subprocess.Popen:
-            command = [sys.executable, "-m", "benchmarks.executors", "--node", executor, module, "--ros-args"]
-            for key, value in parameters.items():
-                command += ["-p", f"{key}:={value}"]
-            log = stack.enter_context((folder / f"{module}.log").open("wb"))
+        def program(name: str, *arguments: str) -> subprocess.Popen:
+            command = [sys.executable, "-m", "benchmarks.executors", *arguments]
+            log = stack.enter_context((folder / f"{name}.log").open("wb"))
             process = subprocess.Popen(
                 command, env=loopback_environment(domain_id), stdout=log, stderr=log, cwd=Path(__file__).parents[1]
             )
@@ -106,8 +120,18 @@ def _overhead(executor: str, scene: str, seconds: float) -> np.ndarray:
             stack.callback(process.kill)
             return process
 
+        def node(module: str, **parameters: object) -> subprocess.Popen:
+            given = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
+            return program(module, "--node", executor, module, "--ros-args", *given)
+
         service = node("collision_node", threads=1, timing_file=folder / "service.npy")
-        simulator = node("simulator_node", scene=file, timing_file=folder / "simulator.npy")
+        if watched:
+            node("recorder_node", folder=folder / "bag")
+            for number in range(2):
+                program(f"listener_{number}", "--listen")
+        simulator = node(
+            "simulator_node", scene=file, timing_file=folder / "simulator.npy", wait_for_subscribers=4 if watched else 1
+        )
         deadline = time.monotonic() + PATIENCE
         while simulator.poll() is None:
             if service.poll() is not None or time.monotonic() > deadline:
