@@ -2,8 +2,8 @@
 
     python -m benchmarks.executors [--scene plates] [--seconds 1] [--repeats 3] [--watched]
 
-Service and simulator are the project's own nodes. `single` is rclpy's SingleThreadedExecutor, which they use.
-`events` is rclpy.experimental's EventsExecutor. Repeats are interleaved. With `--watched`, a recorder and two more nodes subscribe.
+Service and simulator are the project's own nodes. `single` is rclpy's SingleThreadedExecutor, `events` the
+EventsExecutor, which they use. Repeats are interleaved. With `--watched`, a recorder and two more nodes subscribe.
 """
 
 from __future__ import annotations
@@ -17,49 +17,20 @@ import tempfile
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rclpy
 import yaml
-from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.experimental import EventsExecutor
-from rclpy.utilities import get_default_context
 
-from fracture_collision.ros.nodes import simulator_node
+from fracture_collision.ros.processes import executor
 from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
 from fracture_collision.ros.processes.timing_files import SERVICE_COLUMNS, SIMULATOR_COLUMNS
-from fracture_collision.ros.service import collision_node
-from fracture_collision.ros.service.incoming import Incoming
 from fracture_collision.ros.start import start
 from fracture_collision.ros.wire import qos
 from fracture_collision.share import share_directory
 
-
-class _Events:
-    """EventsExecutor with a `spin` of its own.
-
-    In rclpy 7.1.6 a wait without a timeout keeps a core busy and runs no timer. A callback that also takes message info
-    fails, so dropped states are not counted here.
-    """
-
-    def __init__(self, *, context: Context | None = None) -> None:
-        self._context = context or get_default_context()
-        self._executor = EventsExecutor(context=context)
-        on_message = Incoming._on_message
-        info = {"publication_sequence_number": 1}
-        Incoming._on_message = lambda self, topic, data: on_message(self, topic, data, info)
-
-    def spin(self) -> None:
-        while self._context.ok():
-            self.spin_once(timeout_sec=1.0)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._executor, name)
-
-
-EXECUTORS = {"single": SingleThreadedExecutor, "events": _Events}
+EXECUTORS = {"single": SingleThreadedExecutor, "events": executor.EventsExecutor}
 WARM_UP = 20  # steps
 PATIENCE = 60.0  # [s] for one run
 
@@ -70,7 +41,7 @@ def main() -> None:
         _listen()
         return
     if sys.argv[1:2] == ["--node"]:
-        collision_node.SingleThreadedExecutor = simulator_node.SingleThreadedExecutor = EXECUTORS[sys.argv[2]]
+        executor.EventsExecutor = EXECUTORS[sys.argv[2]]
         del sys.argv[1:3]
         sys.argv[:2] = sys.argv[1:2]
         sys.exit(start(sys.argv[0]))
@@ -102,17 +73,17 @@ def _listen() -> None:
         rclpy.spin(node)
 
 
-def _overhead(executor: str, scene: str, seconds: float, watched: bool) -> np.ndarray:
+def _overhead(name: str, scene: str, seconds: float, watched: bool) -> np.ndarray:
     """[s] of each step after WARM_UP: round trip less the service's computation."""
-    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
-        folder, domain_id = Path(name), free_domain_id()
+    with tempfile.TemporaryDirectory() as temporary, ExitStack() as stack:
+        folder, domain_id = Path(temporary), free_domain_id()
         content = yaml.safe_load((share_directory() / "config" / "scenes" / f"{scene}.yaml").read_text())
         file = folder / f"{scene}.yaml"
         file.write_text(yaml.safe_dump(content | {"duration": seconds}))
 
-        def program(name: str, *arguments: str) -> subprocess.Popen:
+        def program(log_name: str, *arguments: str) -> subprocess.Popen:
             command = [sys.executable, "-m", "benchmarks.executors", *arguments]
-            log = stack.enter_context((folder / f"{name}.log").open("wb"))
+            log = stack.enter_context((folder / f"{log_name}.log").open("wb"))
             process = subprocess.Popen(
                 command, env=loopback_environment(domain_id), stdout=log, stderr=log, cwd=Path(__file__).parents[1]
             )
@@ -122,7 +93,7 @@ def _overhead(executor: str, scene: str, seconds: float, watched: bool) -> np.nd
 
         def node(module: str, **parameters: object) -> subprocess.Popen:
             given = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
-            return program(module, "--node", executor, module, "--ros-args", *given)
+            return program(module, "--node", name, module, "--ros-args", *given)
 
         service = node("collision_node", threads=1, timing_file=folder / "service.npy")
         if watched:
@@ -136,7 +107,7 @@ def _overhead(executor: str, scene: str, seconds: float, watched: bool) -> np.nd
         while simulator.poll() is None:
             if service.poll() is not None or time.monotonic() > deadline:
                 logs = "\n".join(log.read_text()[-1500:] for log in folder.glob("*.log"))
-                raise RuntimeError(f"no end with executor {executor}:\n{logs}")
+                raise RuntimeError(f"no end with executor {name}:\n{logs}")
             time.sleep(0.05)
         os.kill(service.pid, signal.SIGINT)
         service.wait(PATIENCE)

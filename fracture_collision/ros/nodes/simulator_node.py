@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -22,6 +22,7 @@ from rclpy.task import Future
 from fracture_collision.extras import MissingExtra
 from fracture_collision.records import INVALID_STATES, ContactConstraintArray, FragmentRegistry, FragmentStates
 from fracture_collision.ros.nodes.repeated_request import RepeatedRequest
+from fracture_collision.ros.processes.executor import executor_of
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare_all
 from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run_node
 from fracture_collision.ros.processes.timing_files import SIMULATOR_COLUMNS
@@ -318,8 +319,7 @@ def random_run_id() -> int:
 
 def work(node: SimulatorNode) -> None:
     """Runs the node to its end, or until it is shut down."""
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    executor = executor_of(node)
     try:
         # otherwise the first timed step would load them
         with nothing_to_lose():

@@ -15,10 +15,11 @@ from collections import deque
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from fracture_collision.cdr import Received
+from fracture_collision.ros.processes.executor import executor_of, spin
 from fracture_collision.ros.processes.parameters import SETTINGS, SettingsParameters, unknown_parameters
 from fracture_collision.ros.processes.process import Fatal, age_of, nothing_to_lose, run_node
 from fracture_collision.ros.service.answers import TIMING_FILE, Answers
@@ -314,11 +315,10 @@ def is_time_for_log(seconds_held: int) -> bool:
 def _work(node: CollisionNode) -> None:
     # One thread: contacts depend on the order in which bodies, events and states are applied, and on nothing else.
     # Created before the node reports that it is ready: after a shutdown none can be created.
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    executor = executor_of(node)
     try:
         node.prepare()
-        executor.spin()
+        spin(executor, node)
     finally:
         node.finish()
         executor.shutdown()

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Any
 
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -15,7 +14,7 @@ from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record, place_in_log
 
 LOG = (qos.BODIES, qos.FRACTURE_EVENTS)  # a run can be rebuilt from these
-MOST_BODIES = 1000  # taken at once: other messages wait meanwhile
+MOST_WAITING = 1000  # messages taken at once: other topics wait meanwhile
 
 
 class Incoming:
@@ -44,7 +43,6 @@ class Incoming:
         self._bodies_read = bodies_read
         self._subscriptions: dict[str, Subscription] = {}
         self._log_is_due = False
-        self._last_states: tuple[int, int] | None = None  # run id, and number among their publisher's messages
         self.dropped_states = 0
 
     def listen(self) -> None:
@@ -65,28 +63,36 @@ class Incoming:
         self._log_is_due = bool(self._subscriptions)
 
     def _subscribe(self, topic: qos.Topic) -> None:
-        # only the newest states are worth an answer
-        profile = qos.NEWEST if topic is qos.FRAGMENT_STATES else topic.qos
         self._subscriptions[topic.name] = self._node.create_subscription(
-            topic.message_class, topic.name, partial(self._on_message, topic), profile, raw=True
+            topic.message_class, topic.name, partial(self._on_message, topic), topic.qos, raw=True
         )
 
-    def _on_message(self, topic: qos.Topic, data: bytes, info: Mapping[str, Any]) -> None:
-        if topic is not qos.BODIES:
-            self._read(topic, data, info)
-            return
+    def _on_message(self, topic: qos.Topic, data: bytes) -> None:
         # All that wait: an executor takes one at a time, and what was sent after them, states or a request, in between.
-        last, subscription = self._read(topic, data, info), self._subscriptions[topic.name]
-        for _ in range(MOST_BODIES):
+        waiting = self._waiting(topic, data)
+        if topic is qos.FRAGMENT_STATES:
+            *older, newest = waiting  # only the newest states are worth an answer
+            self.dropped_states += len(older)
+            self._read(topic, newest)
+            return
+        last = None
+        for each in waiting:
+            last = self._read(topic, each) or last
+        if topic is qos.BODIES and last is not None:
+            self._bodies_read(last)
+
+    def _waiting(self, topic: qos.Topic, first: bytes) -> Iterator[bytes]:
+        """The first message, which was taken, and those behind it."""
+        yield first
+        subscription = self._subscriptions[topic.name]
+        for _ in range(MOST_WAITING):
             with subscription.handle:
                 taken = subscription.handle.take_message(subscription.msg_type, True)
             if taken is None:
-                break
-            last = self._read(topic, *taken) or last
-        if last is not None:
-            self._bodies_read(last)
+                return
+            yield taken[0]
 
-    def _read(self, topic: qos.Topic, data: bytes, info: Mapping[str, Any]) -> Received | None:
+    def _read(self, topic: qos.Topic, data: bytes) -> Received | None:
         """Passes a message on; returns it, None if it cannot be read."""
         limit = self._largest_message()
         if len(data) > limit:
@@ -98,23 +104,13 @@ class Incoming:
         except ValueError as error:
             self._refuse_unread(topic, data, "malformed", str(error))
             return None
-        if topic is qos.FRAGMENT_STATES:
-            self._count_dropped(received.run_id, info["publication_sequence_number"])
         self._handlers[topic.name](received)
         return received
-
-    def _count_dropped(self, run_id: int, number: int) -> None:
-        """The depth of the subscription is 1: what was not taken before the next came is gone."""
-        if self._last_states is not None and self._last_states[0] == run_id:
-            self.dropped_states += max(number - self._last_states[1] - 1, 0)
-        self._last_states = run_id, number
 
     def _refuse_unread(self, topic: qos.Topic, data: bytes, kind: str, reason: str) -> None:
         """Also reports a message of the log that cannot be read to its run, for the states that need it."""
         self._refuse(Refusal(topic.name, kind, reason))
         if topic is qos.FRAGMENT_STATES:
-            if self._last_states is not None:
-                self._last_states = self._last_states[0], self._last_states[1] + 1  # it was not dropped
             return
         place = place_in_log(data, topic.message_class)
         if place is not None:
