@@ -74,8 +74,9 @@ SLOTS = 64
 ARENA = 256 << 20  # [bytes] 65,000 contacts take 40 MB
 # MuJoCo's impedance: near to 1 the problem is ill conditioned, and piles do not converge.
 IMPEDANCE = 0.99
-# Solves of a step at most, until no contact's velocity changes by more than ACCURACY [m/s].
-ROUNDS, ACCURACY = 4, 1.0e-5
+# Solves of a step at most, until no contact's velocity changes by more than ACCURACY [m/s]; and of a further solve in
+# the same step, after a blow that breaks or for bodies that wait, which begins with the slip of the first.
+ROUNDS, ROUNDS_AGAIN, ACCURACY = 4, 2, 1.0e-5
 TOLERANCE, ITERATIONS = 1.0e-8, 100
 # Friction below it is not accepted.
 LEAST_FRICTION = 1.0e-5
@@ -551,9 +552,10 @@ class MujocoDynamics(SleepingWorld):
             mujoco.mj_fwdConstraint(model, data)
             data.qacc_warmstart[:] = data.qacc
 
-        for turn in range(ROUNDS):
+        rounds = ROUNDS_AGAIN if is_again else ROUNDS
+        for turn in range(rounds):
             solve(least)
-            if turn + 1 == ROUNDS:
+            if turn + 1 == rounds:
                 break
             mujoco.mj_mulJacVec(model, data, change, data.qacc)
             slides = rows.sliding + h * np.stack([change[normal + k] for k in (1, 2)])
