@@ -465,6 +465,16 @@ class MujocoDynamics(SleepingWorld):
         diagonal = (model.M_rowadr + model.M_rownnz - 1)[: self._dofs_at]
         data.M[diagonal] += self._time_step * damping
 
+    def _falling(self) -> np.ndarray:
+        """Accelerations without contacts, nor those that are applied as forces: a blow does not bounce off these."""
+        accelerations = self._data.qacc_smooth.copy()
+        slots = slice(self._bodies_at, self._bodies_at + self._count)
+        forces, turns = self._data.xfrc_applied[slots], self._data.xmat[slots].reshape(-1, 3, 3)
+        local = np.hstack((forces[:, :3], turned(turns.transpose(0, 2, 1), forces[:, 3:])))
+        at = slice(self._dofs_at, self._dofs_at + 6 * self._count)
+        accelerations[at] -= (local / self._slots.inertia).ravel()
+        return accelerations
+
     def _by_forces(self) -> np.ndarray:
         """Accelerations (n, 6) of the bodies by the forces of contacts, which keep momentum.
 
@@ -536,7 +546,7 @@ class MujocoDynamics(SleepingWorld):
             np.stack([data.efc_R[normal + k] for k in range(3)]),
         )  # fmt: skip
         change = np.zeros(data.nefc)
-        mujoco.mj_mulJacVec(model, data, change, data.qacc_smooth)
+        mujoco.mj_mulJacVec(model, data, change, self._falling())
         least, for_poses = self._least_velocities(contacts, rows.velocity, h * change[normal])
         friction = np.maximum(contacts.friction, LEAST_FRICTION)
         steady = rows.velocity > -contacts.bounce_speeds  # in a blow the slip is not known

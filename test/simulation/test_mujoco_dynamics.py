@@ -120,6 +120,28 @@ def test_a_pane_breaks_the_same_way_twice_and_gains_no_energy() -> None:
     assert max(one[1]) < 1e-6 * 22.0
 
 
+def test_a_bounce_beside_a_blow_that_breaks_is_as_fast_as_asked() -> None:
+    """A ball strikes a brick, which passes on what it bears to a stone, just as another meets this from beside."""
+    toward = np.array([0.5, -np.sqrt(0.75), 0.0])  # from the other to the stone
+    row = [
+        ball("striker", 0.1, [-0.2001, 0.0, 0.0], linear_velocity=[10.0, 0.0, 0.0]),
+        brick("weak", [0.2, 0.2, 0.2], 0.1, material="weak"),
+        ball("stone", 0.1, [0.2001, 0.0, 0.0]),
+        ball("other", 0.03, list(np.array([0.2001, 0.0, 0.0]) - 0.1301 * toward), linear_velocity=list(2.0 * toward)),
+    ]
+    stone = STONE | {"restitution": 0.5, "friction": 0.0}
+    weak = {"weak": stone | {"fracture": {"strength": 4.0, "minimum_mass": 1.0, "pattern": {"seeds": 4}}}}
+    scene = small_scene(stone, *row, gravity=0.0, duration=0.02, materials=weak)
+    with run_of(scene) as run:
+        report = run.step().report
+        states = run.simulation.dynamics.states()
+    stone_id, other_id = 3, 4
+    by_id = dict(zip(states.fragment_ids.tolist(), states.linear, strict=True))
+    assert report.events  # the brick breaks
+    assert np.linalg.norm(by_id[stone_id]) > 0.1  # what the brick passed on
+    assert (by_id[stone_id] - by_id[other_id]) @ toward == pytest.approx(0.5 * 2.0, rel=1e-3)
+
+
 def test_a_copy_goes_on_as_the_original() -> None:
     with run_of(load_scene("pane")) as run:
         for _ in range(30):
