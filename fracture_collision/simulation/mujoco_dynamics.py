@@ -467,11 +467,13 @@ class MujocoDynamics(SleepingWorld):
 
     def _falling(self) -> np.ndarray:
         """Accelerations without contacts, nor those that are applied as forces: a blow does not bounce off these."""
-        accelerations = self._data.qacc_smooth.copy()
-        slots = slice(self._bodies_at, self._bodies_at + self._count)
+        accelerations, slots = self._data.qacc_smooth, slice(self._bodies_at, self._bodies_at + self._count)
         forces, turns = self._data.xfrc_applied[slots], self._data.xmat[slots].reshape(-1, 3, 3)
+        if not forces.any():
+            return accelerations
         local = np.hstack((forces[:, :3], turned(turns.transpose(0, 2, 1), forces[:, 3:])))
         at = slice(self._dofs_at, self._dofs_at + 6 * self._count)
+        accelerations = accelerations.copy()
         accelerations[at] -= (local / self._slots.inertia).ravel()
         return accelerations
 

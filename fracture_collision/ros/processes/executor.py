@@ -1,4 +1,4 @@
-"""The executor of the service and the simulator: rclpy's EventsExecutor, which takes half the time of a wait set."""
+"""The executor of the service and the simulator: rclpy's EventsExecutor, faster than wait sets."""
 
 from __future__ import annotations
 
