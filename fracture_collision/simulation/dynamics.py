@@ -38,7 +38,7 @@ class Given(NamedTuple):
     states: BodyStates  # before the step
     contacts: StepContacts  # those now, with remembered ones and rest gaps, and those ahead
     traits: Traits  # of the bodies
-    pushes: np.ndarray  # (n, 6) [m/s, rad/s] that hand, hammer and arm add
+    pushes: np.ndarray  # (n, 6) [m/s, rad/s] that hand and hammer add
     planned: Planned | None  # as given to `begin`
 
 

@@ -24,8 +24,6 @@ from fracture_collision.records import (
     FragmentRegistry,
     FragmentStates,
 )
-from fracture_collision.simulation.actors.arm import PARTS
-from fracture_collision.simulation.actors.arm_control import ArmControl
 from fracture_collision.simulation.actors.hand import Drag
 from fracture_collision.simulation.actors.robot import Robot
 from fracture_collision.simulation.cast import Cast, SharedTraits, Traits, shared_traits, traits_of
@@ -85,11 +83,6 @@ class Simulation:
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
-        self.arm: ArmControl | None = None  # the scene's
-        if scene.arm is not None:
-            ids = {name: i for i, name in names.items()}
-            self.arm = ArmControl(scene.arm, [ids[part.name] for part in PARTS])
-            self._pushers.append(self.arm)
         self.robot: Robot | None = None  # the scene's
         self._not_pushed_by_robot = np.zeros(0, np.uint32)
         if scene.robot is not None:
@@ -242,8 +235,6 @@ class Simulation:
         self, states: BodyStates, contacts: ContactConstraintArray, requested: FragmentStates
     ) -> tuple[Given, float, float]:
         """The contacts of `requested` as the engine gets them, their smallest gap [m], and the pushes' energy [J]."""
-        if self.arm is not None:
-            contacts = self.arm.without_own(contacts)
         if self.robot is not None:
             contacts = self._without_robots_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))

@@ -35,7 +35,7 @@ class StepReport(NamedTuple):
     max_speed: float  # [m/s] of any centre of mass at the end of the step
     deepest_gap: float  # [m] the smallest gap among the contacts that are solved; 0 without
     events: list[FractureEvent]  # of this step, published with the next request
-    hand_energy: float  # [J] added by hand, hammer and arm, not by a robot; negative where they removed some
+    hand_energy: float  # [J] added by hand and hammer, not by a robot; negative where they removed some
 
 
 def fragment_states(
