@@ -87,8 +87,8 @@ class Verdict(NamedTuple):
 
 def robot_of(run: Lockstep) -> np.ndarray:
     """Fragment ids of a robot's parts."""
-    arm = run.simulation.arm
-    return np.zeros(0, int) if arm is None else np.asarray(arm._own)
+    robot = run.simulation.robot
+    return np.zeros(0, int) if robot is None else robot.fragment_ids.astype(int)
 
 
 class EnergyWatch:

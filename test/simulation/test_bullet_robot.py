@@ -304,7 +304,7 @@ def test_a_kuka_breaks_a_column_with_the_torques_that_it_has() -> None:
 
 def test_the_robot_does_not_enter_shards_that_wait_for_each_other() -> None:
     """Its tool moves 8 mm in a step, through a crowd of shards."""
-    what = load_scene("vase:bullet")._replace(duration=1.2)
+    what = load_scene("vase")._replace(duration=1.2)
     with run_of(what) as run:
         reports = [exchange.report for exchange in run]
     assert reports[-1].fragments > reports[0].fragments + 15

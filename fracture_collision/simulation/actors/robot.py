@@ -168,6 +168,7 @@ class RobotPlan(NamedTuple):
 
 # Joints that turn, joints that slide; "fixed" ones do neither.
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
+BODY_PREFIX = "robot "  # of the names of its shapes as bodies
 _Frame = tuple[np.ndarray, np.ndarray]
 
 
@@ -350,7 +351,7 @@ def _shapes(urdf: Urdf, file: Path) -> tuple[LinkShape, ...]:
     for link, position, orientation, element in urdf.shapes:
         names.append(link)
         count = names.count(link)
-        name = f"robot {link}" if count == 1 else f"robot {link} {count}"
+        name = f"{BODY_PREFIX}{link}" if count == 1 else f"{BODY_PREFIX}{link} {count}"
         made.append(LinkShape(name, link, position, orientation, _shape(element, file, link), link in fixed))
     if not made:
         raise ValueError(f"{file}: its links have no collision shapes")
