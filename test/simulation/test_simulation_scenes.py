@@ -81,7 +81,8 @@ def test_scenes_break_without_gaining_energy(name):
     events = [event for report in reports for event in report.events]
     assert events and reports[-1].fragments > reports[0].fragments
     assert_no_deeper_than_two_steps(reports, scene)
-    assert reports[0].fragments <= expected.bodies + len([] if scene.robot is None else [part for part in scene.robot.shapes if not part.is_static])
+    links = [] if scene.robot is None else [part for part in scene.robot.shapes if not part.is_static]
+    assert reports[0].fragments <= expected.bodies + len(links)
 
 
 @pytest.mark.slow

@@ -324,12 +324,12 @@ def _joint(element: ElementTree.Element) -> Joint:
     limit = element.find("limit")
     turns = kind == "continuous"
     defaults = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
-    limits = tuple(
+    lower, upper, speed, effort = (
         default if limit is None or limit.get(key) is None or (turns and key in ("lower", "upper"))
         else float(_numbers(limit, key, (0.0,))[0])
         for key, default in defaults.items()
     )  # fmt: skip
-    return Joint(name, kind, *ends, *_origin(element), axis / size, damping, limits)
+    return Joint(name, kind, *ends, *_origin(element), axis / size, damping, (lower, upper, speed, effort))
 
 
 def _origin(element: ElementTree.Element) -> _Frame:
