@@ -23,6 +23,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
+from fracture_collision.extras import MissingExtra
 from fracture_collision.msg import HandTarget, SimulationStatus, ThrowBall
 from fracture_collision.ros.nodes.robot_publisher import RobotPublisher
 from fracture_collision.ros.nodes.simulator_node import SimulatorNode, random_run_id, work
@@ -242,6 +243,9 @@ class LiveSimulatorNode(SimulatorNode):
         name = self.get_parameter("next_scene").value or self._scene_name
         try:
             scene = self._load(str(name if name in self._offered else scene_file(self._uploads, name) or name))
+        except MissingExtra as error:
+            response.message = str(error)
+            return response
         except (SceneError, OSError) as error:
             # Errors quote the file, and its content must not leave this machine.
             self.get_logger().error(str(error))
