@@ -145,7 +145,7 @@ def test_a_robot_has_sliders_and_torques_until_the_next_run(browser: Any) -> Non
         until(lambda: [knob(seen, each).input_value() for each in ("torque 1, N m", "torque 2, N")],
               lambda found: found == ["-12.3 of 320", "7.0 of 50"])  # fmt: skip
         knob(seen, "joint 1").fill("58")
-        assert heard.get(timeout=60) == ("turn", 1.0), "its limit"
+        assert heard.get(timeout=60) == ("turn", pytest.approx(np.radians(57.0))), "the last degree within its limit"
         knob(seen, "joint 2").fill("150")
         assert heard.get(timeout=60) == ("slide", pytest.approx(0.15))
         page.new_run()
