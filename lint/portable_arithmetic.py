@@ -28,7 +28,6 @@ EXCEPTIONS = {
     ("simulation/mujoco_dynamics.py", "*"): "MuJoCo's own differs between processors; its docstring says so",
     ("simulation/mujoco_model.py", "*"): "likewise",
     ("simulation/actors/bullet_robot.py", "pybullet"): "Bullet's own differs between processors; its docstring says so",
-    ("simulation/actors/arm.py", "scipy"): "monotone cubics (PCHIP): compiled once, + - * /",
 }
 
 FOREIGN = {"scipy", "mujoco", "pybullet"}

@@ -56,8 +56,8 @@ class Engine(Protocol):
 
 def solids_of(scene: Scene) -> dict[str, Solid]:
     """The movable bodies by name, with the masses that our service gives them. ValueError for unknown features."""
-    if scene.hand or scene.arm or any(body.start_time or body.material.fracture for body in scene.bodies):
-        raise ValueError(f"{scene.name}: hands, arms, late bodies and fracture are not known to other engines here")
+    if scene.hand or scene.robot or any(body.start_time or body.material.fracture for body in scene.bodies):
+        raise ValueError(f"{scene.name}: hands, robots, late bodies and fracture are not known to other engines here")
     with Lockstep(scene, Settings(threads=1)) as running:
         registry = running.world.fragments()
     rows = {number: row for row, number in enumerate(registry.fragment_ids.tolist())}

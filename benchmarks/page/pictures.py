@@ -18,7 +18,7 @@ from fracture_collision.viewer.page.bag_player import BagPlayer
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 SWING = np.radians([-75.0, 60.0, 0.0, -80.0, 0.0, -50.0, 0.0])  # as in config/scenes/vase.yaml
-FLIGHT = 0.3  # [s]
+FLIGHT = 60  # steps
 THROUGH = np.radians(20.0)  # the vase stands at 0
 
 
@@ -35,7 +35,8 @@ def hit_vase(person: Person) -> None:
     whole = person.status.fragments
     person.hands.command_joints([THROUGH], ["lbr_iiwa_joint_1"])
     person.until(lambda: person.status.fragments > whole + 5, "shards")
-    person.wait(FLIGHT)
+    step = person.status.step
+    person.until(lambda: person.status.step > step + FLIGHT, "flying shards")
 
 
 def take(scene: str, act: Callable[[Person], None], file: Path) -> None:

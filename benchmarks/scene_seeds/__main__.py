@@ -118,7 +118,7 @@ What must hold at the end of each run, and in each of its steps:
   energy       kinetic and potential energy is no larger than in the step before, to {ROUNDING:g} of the
                largest so far; the work of a hand is subtracted. solved: what drift correction
                lifted is subtracted too; this does not count for right. steps: those judged: not
-               those in which a body joins or a robot touches something, nor the robot's energy
+               those in which a body joins or a robot does work
 
 \b
 At rest is what moves by less than {1e3 * SPEED_AT_REST:g} mm/s, in velocity and in place. Seeds are those of the

@@ -24,7 +24,6 @@ from fracture_collision.records import (  # noqa: E402
 )
 from fracture_collision.simulation.engine import BodyStates  # noqa: E402
 from fracture_collision.simulation.scene.scene import Scene  # noqa: E402
-from fracture_collision.simulation.solver.contact_solver import kinetic_energy  # noqa: E402
 from fracture_collision.world import CollisionWorld, PaperSettings, Settings  # noqa: E402
 from fracture_collision.world.inspection import every_contact  # noqa: E402
 
@@ -87,38 +86,34 @@ class Verdict(NamedTuple):
 
 def robot_of(run: Lockstep) -> np.ndarray:
     """Fragment ids of a robot's parts."""
-    arm = run.simulation.arm
-    return np.zeros(0, int) if arm is None else np.asarray(arm._own)
+    robot = run.simulation.robot
+    return np.zeros(0, int) if robot is None else robot.fragment_ids.astype(int)
 
 
 class EnergyWatch:
     """Kinetic and potential energy of all bodies but a robot's, from step to step.
 
-    Judged are all steps but those in which a body joins, which brings its own energy, and those in which the robot
-    touches something or did in the step before. The work of a hand is known to rounding (StepReport.hand_energy), and
+    Judged are all steps but those in which a body joins, which brings its own energy, and those in which a robot does
+    work: that is known to the time step's order. The work of a hand is known to rounding (StepReport.hand_energy), and
     subtracted. Neither drift correction nor a fracture may raise the energy; how much drift correction does is told.
     """
 
-    def __init__(self, run: Lockstep, scene: Scene) -> None:
-        self._run, self._gravity = run, scene.gravity
-        self._robot = robot_of(run)
+    def __init__(self, has_robot: bool = False) -> None:
+        self._has_robot = has_robot
         self._fragments = -1  # that there will be in the next step, if no body joins
         self._energy, self._largest = 0.0, 0.0  # [J]
-        self._was_touched = False
         self.rise = Rise(-np.inf, solved=-np.inf)
 
     def take(self, exchange: Exchange) -> None:
         """Takes the step that the run has just done."""
-        report, is_touched = exchange.report, self._touches_robot(exchange.contacts)
+        report = exchange.report
         # the report's energy has the bodies that break at the step's end
-        energy = report.kinetic_energy + report.potential_energy - self._energy_of_robot()
-        if report.fragments == self._fragments and not (is_touched or self._was_touched):
-            # pushes of a robot do not act on the other bodies
-            given = 0.0 if len(self._robot) else report.hand_energy
+        energy = report.kinetic_energy + report.potential_energy
+        if report.fragments == self._fragments and not (self._has_robot and report.hand_energy):
             scale = max(self._largest, 1e-300)
-            self._judge((energy - self._energy - given) / scale, report.drift_energy / scale, report.step)
+            self._judge((energy - self._energy - report.hand_energy) / scale, report.drift_energy / scale, report.step)
         self._fragments = report.fragments + sum(len(event.new_fragment_ids) - 1 for event in report.events)
-        self._energy, self._was_touched = energy, is_touched
+        self._energy = energy
         self._largest = max(self._largest, abs(energy))
 
     def _judge(self, share: float, lifted: float, step: int) -> None:
@@ -126,23 +121,12 @@ class EnergyWatch:
         solved = max(worst.solved, share - max(lifted, 0.0))
         self.rise = worst._replace(solved=solved, judged=worst.judged + 1)
 
-    def _energy_of_robot(self) -> float:
-        """[J]; its parts do not break."""
-        states = self._run.simulation.dynamics.states()
-        own = np.isin(states.fragment_ids, self._robot)
-        velocities = np.hstack((states.linear, states.angular))[own]
-        kinetic = kinetic_energy(states.masses[own], states.inertias[own], velocities)
-        return kinetic - float((states.masses[own] * (states.centers[own] @ self._gravity)).sum())
-
-    def _touches_robot(self, contacts: ContactConstraintArray) -> bool:
-        return bool((np.isin(contacts.fragment_a, self._robot) ^ np.isin(contacts.fragment_b, self._robot)).any())
-
 
 def judged(scene: Scene, settings: Settings, seed: int) -> Verdict:
     """Runs a scene to its end."""
     events: list[FractureEvent] = []
     with Lockstep(scene, settings, seed) as run:
-        bodies, watch, steps = run.simulation.start_bodies(), EnergyWatch(run, scene), 0
+        bodies, watch, steps = run.simulation.start_bodies(), EnergyWatch(scene.robot is not None), 0
         now = run.simulation.dynamics.states()
         for exchange in run:
             before, now = now, run.simulation.dynamics.states()

@@ -38,7 +38,7 @@ class Given(NamedTuple):
     states: BodyStates  # before the step
     contacts: StepContacts  # those now, with remembered ones and rest gaps, and those ahead
     traits: Traits  # of the bodies
-    pushes: np.ndarray  # (n, 6) [m/s, rad/s] that hand, hammer and arm add
+    pushes: np.ndarray  # (n, 6) [m/s, rad/s] that hand and hammer add
     planned: Planned | None  # as given to `begin`
 
 
@@ -48,6 +48,13 @@ class Solved(NamedTuple):
     normal_impulses: np.ndarray  # (N,) [N s] of the contacts now; of what breaks, those that break it
     overloaded: np.ndarray  # (k,) rows of the bodies that break
     taken: np.ndarray  # (n, 6) [m/s, rad/s] by which contacts change velocities
+
+
+class Moved(NamedTuple):
+    """What bodies gained in a step, beside what contacts and gravity do to them."""
+
+    drift_energy: float  # [J] by corrections of poses
+    robot_energy: float = 0.0  # [J] by contacts with what the engine moves itself: robots, links
 
 
 class Dynamics(Protocol):
@@ -77,8 +84,8 @@ class Dynamics(Protocol):
     def solve(self, given: Given) -> Solved:
         """Impulses of the contacts, with friction, restitution, and no more than materials bear."""
 
-    def move(self) -> float:
-        """Move all bodies one time step on, as solved; returns the energy [J] that corrections of poses add."""
+    def move(self) -> Moved:
+        """Move all bodies one time step on, as solved."""
 
     def close(self) -> None:
         """Release resources."""

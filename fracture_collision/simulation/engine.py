@@ -19,7 +19,7 @@ It keeps the quadratic invariants w.Iw and |Iw|^2 (Hairer, Lubich, Wanner, "Geom
 the explicit rule, Bullet's own, feeds energy to fast spins. I is the world-axes inertia of the pose at the start, w1
 turns with the body. So the pose decides where the angular momentum points: mean_spins keeps it.
 
-Hands, hammers and arms push on bodies, beside gravity and contacts; their pushes are evaluated once a step.
+Hands and hammers push on bodies, beside gravity and contacts; their pushes are evaluated once a step.
 
 Two frames occur: the *body frame* of the records (that of the
 original, unbroken body, carried along rigidly by each of its fragments) and the centre of mass, about which velocities

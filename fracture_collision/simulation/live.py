@@ -1,8 +1,7 @@
 """An interactive scene: it runs without an end time and takes commands between its steps.
 
-The user replaces the scene's own actors: spheres with a start time are left out, a recorded hand does not move, and an
-arm does not swing. A robot of a URDF file follows its motors' tables. Everything else is the scene's, and the physics
-is that of simulation.py.
+The user replaces the scene's own actors: spheres with a start time are left out, a recorded hand does not move, and a
+robot holds its first posture. Everything else is the scene's, and the physics is that of simulation.py.
 
 Its last seconds are kept as copies of its state, to go back to (`History`). A copy of a hundred fragments takes 0.3 ms.
 The alternative, recorded commands and a second run through all steps since, would let the user wait. Meshes and
@@ -21,7 +20,6 @@ import numpy as np
 
 from fracture_collision.portable_math import lengths
 from fracture_collision.records import FractureEvent
-from fracture_collision.simulation.actors.arm import PARTS
 from fracture_collision.simulation.actors.hand import Hammer
 from fracture_collision.simulation.actors.robot import RobotPlan
 from fracture_collision.simulation.config.shapes import Shape
@@ -62,8 +60,8 @@ class LiveScene:
 
     def __init__(self, scene: Scene, seed: int, looks_ahead: bool = False) -> None:
         kept = tuple(body for body in scene.bodies if not _is_thrown(body))
-        arm = None if scene.arm is None else scene.arm.standing()
-        self.simulation = Simulation(scene._replace(bodies=kept, hand=None, arm=arm), seed, None, looks_ahead)
+        robot = None if scene.robot is None else scene.robot.standing()
+        self.simulation = Simulation(scene._replace(bodies=kept, hand=None, robot=robot), seed, None, looks_ahead)
         self._home = _hammer_home(kept, scene.robot)
         self._hammer: Hammer | None = None
         self._balls: deque[int] = deque()
@@ -123,14 +121,14 @@ class LiveScene:
         self._hammer.steer(velocity)
 
     def command_joints(self, names: Sequence[str], positions: Sequence[float]) -> None:
-        """Move the arm to `positions` [rad] of the joints `names`, or of all seven in order if that is empty.
+        """Move the robot to `positions` [rad] of the joints `names`, or of all in order if that is empty.
 
         Raises CommandRefused.
         """
-        if self.simulation.arm is None:
-            raise CommandRefused("the scene has no arm")
+        if self.simulation.robot is None:
+            raise CommandRefused("the scene has no robot")
         try:
-            self.simulation.arm.command(names, positions)
+            self.simulation.robot.command(names, positions)
         except ValueError as error:
             raise CommandRefused(str(error)) from error
 
@@ -154,7 +152,7 @@ def _is_thrown(body: SceneBody) -> bool:
 
 
 def _hammer_home(bodies: tuple[SceneBody, ...], robot: RobotPlan | None) -> np.ndarray:
-    actors = {part.name for part in PARTS} | ({part.body for part in robot.shapes} if robot is not None else set())
+    actors = {part.body for part in robot.shapes} if robot is not None else set()
     places = [body.position for body in bodies if not body.is_static and body.name not in actors]
     middle = np.mean(places, axis=0) if places else np.array([0.0, 0.0, 0.5])
     return middle - np.array([0.0, IN_FRONT, 0.0])

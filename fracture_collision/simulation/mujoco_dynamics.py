@@ -38,7 +38,7 @@ import mujoco  # noqa: E402
 from fracture_collision.portable_math import dots  # noqa: E402
 from fracture_collision.records import ContactConstraintArray  # noqa: E402
 from fracture_collision.simulation.actors.robot import Robot  # noqa: E402
-from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved  # noqa: E402
+from fracture_collision.simulation.dynamics import Given, Moved, SleepingWorld, Solved  # noqa: E402
 from fracture_collision.simulation.engine import BodyStates, ByFragment, FrameState, Planned, free_velocities  # noqa: E402
 from fracture_collision.simulation.mujoco_model import (  # noqa: E402
     name_of,
@@ -58,6 +58,7 @@ from fracture_collision.simulation.solver.contact_solver import (  # noqa: E402
     Solution,
     SolverSettings,
     sums_of_bodies,
+    work_of_impulses,
 )
 from fracture_collision.simulation.solver.touch_ahead import Course, shares_of_step  # noqa: E402
 from fracture_collision.simulation.solver.warm_start import (  # noqa: E402
@@ -236,7 +237,7 @@ class MujocoDynamics(SleepingWorld):
         self._step = _Step(given, bodies, searched, contacts, is_applied, velocities, drift, flight)
         return Solved(normal, overloaded, velocities - bodies.free_velocities)
 
-    def move(self) -> float:
+    def move(self) -> Moved:
         """As in Dynamics: drift correction adds energy where it lifts bodies."""
         assert self._step is not None
         step, self._step = self._step, None
@@ -258,7 +259,21 @@ class MujocoDynamics(SleepingWorld):
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
         self._rest_after(given, v + drift)
         lifts = shares * self._time_step * dots(step.drift[:, :3], self._gravity)
-        return -float((given.states.masses * lifts).sum())
+        return Moved(-float((given.states.masses * lifts).sum()), self._work_of_links(step, v))
+
+    def _work_of_links(self, step: _Step, after: np.ndarray) -> float:
+        """Energy [J] that the model's links add to the bodies, but by rolling resistance; after: (n, 6) velocities."""
+        if not self._links:
+            return 0.0
+        contacts, bodies, work = step.contacts, step.bodies, 0.0
+        impulses, links = self._warm_start.impulses[contacts.rows], np.fromiter(self._links.values(), np.int64)
+        for rows, geoms, sign in (
+            (contacts.body_b, contacts.geom_a, 1.0), (contacts.body_a, contacts.geom_b, -1.0),
+        ):  # fmt: skip
+            its = np.flatnonzero((rows < len(bodies.masses)) & np.isin(geoms, links))
+            arms = contacts.points[its] - bodies.centers[rows[its]]
+            work += work_of_impulses(rows[its], sign * impulses[its], arms, bodies.velocities, after)
+        return work
 
     def _move_model(self) -> None:
         """Move the model beside the slots."""

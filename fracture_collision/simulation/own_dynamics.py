@@ -24,7 +24,7 @@ from fracture_collision.simulation.catching_up import (
     carried_contacts,
     extra_times,
 )
-from fracture_collision.simulation.dynamics import Given, SleepingWorld, Solved
+from fracture_collision.simulation.dynamics import Given, Moved, SleepingWorld, Solved
 from fracture_collision.simulation.engine import BodyStates, ByFragment, FrameState, Planned, free_velocities
 from fracture_collision.simulation.robot_contacts import RobotStep, robot_rows, solve_with_robot
 from fracture_collision.simulation.rotations import (
@@ -127,7 +127,7 @@ class OwnDynamics(SleepingWorld):
         self._step = _Step(given, bodies, searched, solution, limits, flight, solved, with_robot)
         return Solved(solution.normal_impulses, overloaded, solution.velocities - bodies.free_velocities)
 
-    def move(self) -> float:
+    def move(self) -> Moved:
         """As in Dynamics: drift correction adds energy where it lifts bodies."""
         assert self._step is not None
         step, self._step = self._step, None
@@ -150,7 +150,9 @@ class OwnDynamics(SleepingWorld):
         self._warm_start, v = solution.warm_start, solution.velocities
         drift = self.shares[:, None] * moves - v
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
+        work = 0.0
         if self._robot is not None and step.robot is not None:
+            work = step.robot.work(self._is_robot(states), solution)
             self._robot.commit(step.robot.pushes(solution.warm_start.impulses))
             self._placed = None  # not where the engine moved them
             self._follow_robot()
@@ -158,7 +160,7 @@ class OwnDynamics(SleepingWorld):
         self._rest_after(given, v + drift)
         if self._looks_ahead:
             self._remember_waiting(given, moved)
-        return -float((states.masses * moved * dots(drifting[:, :3], self._gravity)).sum())
+        return Moved(-float((states.masses * moved * dots(drifting[:, :3], self._gravity)).sum()), work)
 
     def _remember_waiting(self, given: Given, moved: np.ndarray) -> None:
         """Keep what the next step needs to make up for this one, in which bodies moved for `moved` (n,) [s]."""

@@ -40,6 +40,7 @@ from fracture_collision.simulation.solver.contact_solver import (
     Solution,
     SolverSettings,
     solve_with_strengths,
+    work_of_impulses,
 )
 from fracture_collision.simulation.solver.warm_start import WarmStart, carried_impulses
 
@@ -82,6 +83,19 @@ class RobotStep(NamedTuple):
     def pushes(self, impulses: np.ndarray) -> list[Push]:
         """What `impulses` (N, 3) [N s] on b are on the links."""
         return _pushes(self.touched, self.points, impulses)
+
+    def work(self, is_robot: np.ndarray, solution: Solution) -> float:
+        """Energy [J] that the robot adds to the other bodies. is_robot: (n,) bool."""
+        bodies, pairs, (*_, impulses, rolling) = self.bodies, self.pairs, solution.warm_start
+        found, counts = np.append(is_robot, False), np.diff(self.contacts.pair_begin)
+        signs = found[pairs.body_a].astype(float) - found[pairs.body_b]  # 1: acts on b, -1: on a
+        others, touching = np.where(signs > 0.0, pairs.body_b, pairs.body_a), signs != 0.0
+        before, after = bodies.velocities, solution.velocities
+        spins = 0.5 * (before + after)[others[touching], 3:]
+        spun = dots(signs[touching, None] * rolling[touching], spins).sum()
+        each = np.flatnonzero(np.repeat(touching, counts))
+        rows, pushes = np.repeat(others, counts)[each], np.repeat(signs, counts)[each, None] * impulses[each]
+        return float(spun) + work_of_impulses(rows, pushes, self.points[each] - bodies.centers[rows], before, after)
 
 
 def robot_rows(robot: Robot, states: BodyStates) -> np.ndarray:

@@ -24,8 +24,6 @@ from fracture_collision.records import (
     FragmentRegistry,
     FragmentStates,
 )
-from fracture_collision.simulation.actors.arm import PARTS
-from fracture_collision.simulation.actors.arm_control import ArmControl
 from fracture_collision.simulation.actors.hand import Drag
 from fracture_collision.simulation.actors.robot import Robot
 from fracture_collision.simulation.cast import Cast, SharedTraits, Traits, shared_traits, traits_of
@@ -85,11 +83,6 @@ class Simulation:
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
-        self.arm: ArmControl | None = None  # the scene's
-        if scene.arm is not None:
-            ids = {name: i for i, name in names.items()}
-            self.arm = ArmControl(scene.arm, [ids[part.name] for part in PARTS])
-            self._pushers.append(self.arm)
         self.robot: Robot | None = None  # the scene's
         self._not_pushed_by_robot = np.zeros(0, np.uint32)
         if scene.robot is not None:
@@ -182,12 +175,12 @@ class Simulation:
         solved = self.dynamics.solve(given)
         if self._looks_ahead:
             self._taken = ByFragment(states.fragment_ids, solved.taken)
-        lifted = self.dynamics.move()
+        gained = self.dynamics.move()
         solver_seconds = time.perf_counter() - started
         self._step += 1
 
         moved = self.dynamics.states()
-        energy = kinetic_energy(moved.masses, moved.inertias, moved.velocities())
+        kinetic, potential = self._energies(moved)
         started = time.perf_counter()
         self._break_overloaded(given, moved, solved)
         return StepReport(
@@ -197,14 +190,23 @@ class Simulation:
             fragments=len(moved.fragment_ids),
             solver_seconds=solver_seconds,
             fracture_seconds=time.perf_counter() - started if len(solved.overloaded) else 0.0,
-            kinetic_energy=energy,
-            potential_energy=-float((moved.masses * dots(moved.centers, self._scene.gravity)).sum()),
-            drift_energy=lifted,
+            kinetic_energy=kinetic,
+            potential_energy=potential,
+            drift_energy=gained.drift_energy,
             max_speed=float(lengths(moved.linear).max(initial=0.0)),
             deepest_gap=deepest_gap,
             events=list(self._events),
-            hand_energy=pushed_energy,
+            hand_energy=pushed_energy + gained.robot_energy,
         )
+
+    def _energies(self, states: BodyStates) -> tuple[float, float]:
+        """Kinetic and potential energy [J] of all bodies but a robot's, whose masses its own engine has."""
+        masses, inertias = states.masses, states.inertias
+        if self.robot is not None:
+            counted = ~np.isin(states.fragment_ids, self.robot.fragment_ids)
+            masses, inertias = counted * masses, counted[:, None, None] * inertias
+        kinetic = kinetic_energy(masses, inertias, states.velocities())
+        return kinetic, -float((masses * dots(states.centers, self._scene.gravity)).sum())
 
     def unexpected(self, contacts: ContactConstraintArray) -> str:
         """What of the service's settings this simulation does not expect, and what to do; "": nothing, or nothing new.
@@ -242,8 +244,6 @@ class Simulation:
         self, states: BodyStates, contacts: ContactConstraintArray, requested: FragmentStates
     ) -> tuple[Given, float, float]:
         """The contacts of `requested` as the engine gets them, their smallest gap [m], and the pushes' energy [J]."""
-        if self.arm is not None:
-            contacts = self.arm.without_own(contacts)
         if self.robot is not None:
             contacts = self._without_robots_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))

@@ -29,13 +29,13 @@ class StepReport(NamedTuple):
     fragments: int  # in motion
     solver_seconds: float  # wall time of the contact solver
     fracture_seconds: float  # wall time of making the patterns; 0 where nothing was hit hard enough
-    kinetic_energy: float  # [J] at the end of the step
-    potential_energy: float  # [J] in the scene's gravity, relative to the world's origin
+    kinetic_energy: float  # [J] at the end of the step, without a robot's
+    potential_energy: float  # [J] likewise, in the scene's gravity, relative to the world's origin
     drift_energy: float  # [J] potential energy added by this step's drift correction in lifting bodies
     max_speed: float  # [m/s] of any centre of mass at the end of the step
     deepest_gap: float  # [m] the smallest gap among the contacts that are solved; 0 without
     events: list[FractureEvent]  # of this step, published with the next request
-    hand_energy: float  # [J] added by hand, hammer and arm, not by a robot; negative where they removed some
+    hand_energy: float  # [J] added by hand, hammer and robot; negative where they removed some
 
 
 def fragment_states(

@@ -14,7 +14,7 @@ from fracture_collision.lockstep import Lockstep
 from fracture_collision.near_names import did_you_mean
 from fracture_collision.records import ContactConstraintArray, FractureEvent, FragmentRegistry, FragmentStates
 from fracture_collision.simulation.actors.robot import Robot
-from fracture_collision.simulation.dynamics import Dynamics, Given, Solved
+from fracture_collision.simulation.dynamics import Dynamics, Given, Moved, Solved
 from fracture_collision.simulation.engine import BodyStates, FrameState, MassProperties, Planned
 from fracture_collision.simulation.engines import dynamics_of
 from fracture_collision.simulation.scene.scene import ENGINES, Scene
@@ -143,12 +143,12 @@ class _Spy:
         self.impulses.append(Impulses(given.contacts.now, np.array(solved.normal_impulses), seconds))
         return solved
 
-    def move(self) -> float:
+    def move(self) -> Moved:
         started = perf_counter()
-        lifted = self._dynamics.move()
+        moved = self._dynamics.move()
         last = self.impulses[-1]
         self.impulses[-1] = last._replace(seconds=last.seconds + perf_counter() - started)
-        return lifted
+        return moved
 
     def close(self) -> None:
         self._dynamics.close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from xml.etree import ElementTree
 
 import numpy as np
-import pybullet
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -17,9 +16,9 @@ from std_msgs.msg import String
 from fracture_collision.ros.nodes.live_client import LiveClient
 from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.message_definitions import type_hash
-from fracture_collision.share import share_directory
-from fracture_collision.simulation.actors.arm import PARTS, URDF
 from fracture_collision.simulation.scene.scene import load_scene
+
+pybullet = pytest.importorskip("pybullet")
 
 CELL = ("-r", "__ns:=/cell")
 JOINTS = [f"lbr_iiwa_joint_{j}" for j in range(1, 8)]
@@ -28,7 +27,7 @@ LINKS = [f"lbr_iiwa_link_{j}" for j in range(8)]
 
 
 class Visitor(Player):
-    """A live scene with an arm in a namespace, and a node with use_sim_time beside it."""
+    """A live scene with a robot in a namespace, and a node with use_sim_time beside it."""
 
     def __init__(self, stage: StageWithClients) -> None:
         super().__init__(stage, "vase", CELL, "-p", "use_sim_time:=true")
@@ -36,7 +35,7 @@ class Visitor(Player):
         self.clock: list[Clock] = []
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         self.ears.node.create_subscription(Clock, "/clock", self.clock.append, reliable)
-        self.until(lambda: bool(self.joints), "an arm")
+        self.until(lambda: bool(self.joints), "a robot")
 
     def now(self) -> int:
         """[ns] of a node with use_sim_time."""
@@ -100,7 +99,7 @@ def test_a_renamed_simulator_takes_its_private_names_along(stage: StageWithClien
     assert not LiveClient(ears.node).is_there()
 
 
-def test_a_late_viewer_gets_the_arm_and_none_where_there_is_none(visitor: Visitor) -> None:
+def test_a_late_viewer_gets_the_robot_and_none_where_there_is_none(visitor: Visitor) -> None:
     visitor.begin_again("vase")
     topic = qos.ROBOT_DESCRIPTION
     heard: list[String] = []
@@ -109,11 +108,13 @@ def test_a_late_viewer_gets_the_arm_and_none_where_there_is_none(visitor: Visito
     robot = ElementTree.fromstring(heard[0].data)
     assert [link.get("name") for link in robot.iter("link")] == LINKS
     assert [joint.get("name") for joint in robot.iter("joint")] == JOINTS == visitor.joints[-1].name
-    assert not list(robot.iter("mesh")) and len(list(robot.iter("visual"))) == len(PARTS)
+    assert not list(robot.iter("mesh")) and len(list(robot.iter("visual"))) == 15
+    efforts = [float(limit.get("effort")) for limit in robot.iter("limit")]
+    assert efforts == [motor.torque for motor in load_scene("vase").robot.motors]
     visitor.begin_again("plates")
-    visitor.until(lambda: visitor.ears.node.count_publishers(topic.name) == 0, "no arm any more")
+    visitor.until(lambda: visitor.ears.node.count_publishers(topic.name) == 0, "no robot any more")
     visitor.begin_again("vase")
-    visitor.until(lambda: len(heard) == 2 and heard[0] == heard[1], "the arm again")
+    visitor.until(lambda: len(heard) == 2 and heard[0] == heard[1], "the robot again")
 
 
 def test_tf_has_the_frames_of_the_links(visitor: Visitor) -> None:
@@ -127,7 +128,7 @@ def test_tf_has_the_frames_of_the_links(visitor: Visitor) -> None:
         visitor.ears.node.create_subscription(tf2_msgs.TFMessage, topic.name, collected.append, topic.qos)
     visitor.until(lambda: bool(fixed) and bool(moving), "frames")
     visitor.hands.command_joints(np.radians([-70.0, 60.0, 20.0, -80.0, 30.0, -50.0, 40.0]))
-    visitor.until(lambda: abs(visitor.joints[-1].position[0]) > 0.2, "an arm on its way")
+    visitor.until(lambda: abs(visitor.joints[-1].position[0]) > 0.2, "a robot on its way")
     count = len(moving)
     visitor.until(lambda: len(moving) > count + 20, "more frames")
     stamps = [nanoseconds(each.transforms[0].header.stamp) for each in moving]
@@ -161,12 +162,12 @@ def composed(chain: list) -> tuple[np.ndarray, Rotation]:
 
 
 def bullet_frames(angles: list[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Frames of the links by Bullet, for the arm of the scene `vase`."""
-    arm = load_scene("vase").arm
+    """Frames of the links by Bullet, for the robot of the scene `vase`."""
+    plan = load_scene("vase").robot
     client = pybullet.connect(pybullet.DIRECT)
     try:
         robot = pybullet.loadURDF(
-            str(share_directory() / URDF), arm.position.tolist(), arm.orientation.tolist(),
+            str(plan.urdf), plan.position.tolist(), plan.orientation.tolist(),
             useFixedBase=True, physicsClientId=client,
         )  # fmt: skip
         for j, angle in enumerate(angles):

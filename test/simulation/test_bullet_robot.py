@@ -149,12 +149,16 @@ def test_a_load_at_rest_is_lifted_when_the_motor_moves() -> None:
     lift, tilt = ([(0.6, 0.0), (0.9, angle)] for angle in (-20.0, 20.0))
     motors = [*held()[:1], motor("lift", 200.0, lift), motor("tilt", 60.0, tilt)]
     with run_of(what._replace(robot=scene(motors).robot)) as run:
-        heights = []
+        heights, reports = [], []
         for _ in range(440):
-            run.step()
+            reports.append(run.step().report)
             heights.append(float(run.simulation.dynamics.states().centers[row_of(run, "load"), 2]))
     assert np.ptp(heights[120:235]) < 1e-6
     assert heights[-1] - heights[235] == pytest.approx(0.42 * np.sin(np.radians(20.0)), abs=2e-3)
+    energy = [report.kinetic_energy + report.potential_energy for report in reports]
+    work = sum(report.hand_energy + report.drift_energy for report in reports[236:])
+    # where the hand starts, and where the load lands on it, by m g h / 2 times the change of speed: 0.03 J
+    assert work == pytest.approx(energy[-1] - energy[235], abs=0.04) and work > 3.0
 
 
 # --- impacts ---------------------------------------------------------------------------------------------------------
@@ -304,7 +308,7 @@ def test_a_kuka_breaks_a_column_with_the_torques_that_it_has() -> None:
 
 def test_the_robot_does_not_enter_shards_that_wait_for_each_other() -> None:
     """Its tool moves 8 mm in a step, through a crowd of shards."""
-    what = load_scene("vase:bullet")._replace(duration=1.2)
+    what = load_scene("vase")._replace(duration=1.2)
     with run_of(what) as run:
         reports = [exchange.report for exchange in run]
     assert reports[-1].fragments > reports[0].fragments + 15

@@ -110,7 +110,7 @@ def test_what_is_pushed_out_of_something_is_not_at_rest() -> None:
 def test_energy_from_nowhere_is_found() -> None:
     scene = scene_with((CUBE, [0.0, 0.0, 1.0]))
     with Lockstep(scene, SETTINGS) as run:
-        watch = EnergyWatch(run, scene)
+        watch = EnergyWatch()
         for step in range(20):
             if step == 10:
                 engine = run.simulation.dynamics

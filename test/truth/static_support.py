@@ -123,8 +123,8 @@ def support_of(run, scene, hooks: bool = True) -> Support:
     of = dict(zip(registry.fragment_ids.tolist(), registry.body_ids.tolist(), strict=True))
     size = np.sqrt(np.trace(bodies.inertias, axis1=1, axis2=2) / bodies.masses)
     speed = np.linalg.norm(bodies.linear, axis=1) + np.linalg.norm(bodies.angular, axis=1) * size
-    own_arm = run.simulation.arm
-    driven = [] if own_arm is None else own_arm._own.tolist()
+    robot = run.simulation.robot
+    driven = [] if robot is None else robot.fragment_ids.tolist()
     resting = np.flatnonzero((speed < SPEED_AT_REST) & ~np.isin(bodies.fragment_ids, driven))
     gravity = scene.gravity
     weight = bodies.masses[resting] * np.linalg.norm(gravity)

@@ -76,7 +76,7 @@ def test_what_does_not_break_has_no_hue_and_hammer_balls_and_arm_differ() -> Non
     for body_id in range(10, 18):  # one of each family of colours
         palette.add(plate._replace(body_id=body_id))
     ball = next(body for body in records_of(CollisionBody) if body.name == "ball")
-    for body_id, name, density in ((1, "thrown 1", 2000.0), (2, "hammer", 7800.0), (3, "arm link 1a", 1000.0)):
+    for body_id, name, density in ((1, "thrown 1", 2000.0), (2, "hammer", 7800.0), (3, "robot link", 1000.0)):
         palette.add(ball._replace(body_id=body_id, name=name, density=density))
     paints = [palette.paint(body_id, body_id) for body_id in (1, 2, 3)]
     assert len({paint.outside for paint in paints}) == 3

@@ -41,8 +41,8 @@ KNOBS = {
     "method": SettingKnob("contacts", choices=("exact", "glondu2014")),
 }
 ALL = Handlers(*(lambda *_: None,) * len(Handlers._fields))
-JOINTS = tuple(Joint(f"j{i}", -1, 1) for i in range(7))
-START = Start(("plates", "vase"), "plates", mesh_suffixes=(".obj",), settings=KNOBS, joints=JOINTS)
+JOINTS = (Joint("turn", -1.0, 1.0, 320.0), Joint("slide", -0.1, 0.2, 50.0, slides=True))
+START = Start(("plates", "vase"), "plates", mesh_suffixes=(".obj",), settings=KNOBS)
 
 
 def begin(page: Page, step: int = 0) -> None:
@@ -79,11 +79,13 @@ def test_the_title_names_the_scene_that_runs(browser: Any) -> None:
 def test_the_help_mentions_every_control() -> None:
     for handlers, start in ((ALL, START), (Handlers(), Start())):
         with Page(handlers, start) as page:
+            page.show_robot(JOINTS, (0.0, 0.0))
+            page.flush()
             handles = page._server.gui._gui_input_handle_from_uuid.values()
             labels = {handle._impl.props.label for handle in handles} - {"help"}
         text = help_text(handlers, start, is_recorded=False)
         named = {label.split(",")[0] for label in labels}  # without units
-        assert not {name for name in named if f"*{name}*" not in text and not re.match(r"joint [2-6]$", name)}
+        assert not {name for name in named if f"*{name}*" not in text and not re.match(r"(joint|torque) 2$", name)}
         assert ("Throw" in text) == (handlers is ALL)
 
 
@@ -130,6 +132,24 @@ def test_the_controls_do_not_cover_the_scene_on_a_phone(browser: Any) -> None:
             assert label.bounding_box()["x"] + label.bounding_box()["width"] <= width
             handle.click()
             until(handle.bounding_box, lambda box: box["y"] > height - 60)
+
+
+@pytest.mark.slow
+def test_a_robot_has_sliders_and_torques_until_the_next_run(browser: Any) -> None:
+    heard: Queue[tuple[str, float]] = Queue()
+    handlers = ALL._replace(joint_set=lambda *told: heard.put(told))
+    with Page(handlers, START) as page, opened(browser, page.address) as seen:
+        page.show_robot(JOINTS, (0.5, 0.1))
+        page.show_torques((-12.34, 7.0))
+        until(lambda: [knob(seen, f"joint {j}").input_value() for j in (1, 2)], lambda found: found == ["29", "100"])
+        until(lambda: [knob(seen, each).input_value() for each in ("torque 1, N m", "torque 2, N")],
+              lambda found: found == ["-12.3 of 320", "7.0 of 50"])  # fmt: skip
+        knob(seen, "joint 1").fill("58")
+        assert heard.get(timeout=60) == ("turn", pytest.approx(np.radians(57.0))), "the last degree within its limit"
+        knob(seen, "joint 2").fill("150")
+        assert heard.get(timeout=60) == ("slide", pytest.approx(0.15))
+        page.new_run()
+        until(lambda: seen.get_by_text("joint 1").count(), lambda count: not count)
 
 
 def test_settings_have_their_names_and_ranges(browser: Any) -> None:

@@ -74,7 +74,7 @@ class LiveClient:
         self._velocity.publish(Twist(linear=_vector(velocity)))
 
     def command_joints(self, positions: Sequence[float], names: Sequence[str] = ()) -> None:
-        """Moves the scene's arm to `positions` [rad] of the named joints, or of all in order if `names` is empty."""
+        """Moves the scene's robot to `positions` [rad] of the named joints, or of all in order if `names` is empty."""
         self._joints.publish(JointState(name=list(names), position=[float(position) for position in positions]))
 
     def reset(self) -> Future:

@@ -1,6 +1,6 @@
 """An interactive simulator: paced by the clock, it runs until it is shut down and takes commands from topics.
 
-~/throw_ball, ~/hand_target and cmd_vel (of any teleop tool) act on the scene, joint_commands on its arm. An arm is
+~/throw_ball, ~/hand_target and cmd_vel (of any teleop tool) act on the scene, joint_commands on its robot. A robot is
 published as robot_description, joint_states and tf. The services ~/reset, ~/rewind, ~/pause and ~/step control the
 run. The steps themselves are those of simulator_node.
 """
@@ -23,8 +23,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
+from fracture_collision.extras import MissingExtra
 from fracture_collision.msg import HandTarget, SimulationStatus, ThrowBall
-from fracture_collision.ros.nodes.arm_publisher import ArmPublisher
+from fracture_collision.ros.nodes.robot_publisher import RobotPublisher
 from fracture_collision.ros.nodes.simulator_node import SimulatorNode, random_run_id, work
 from fracture_collision.ros.nodes.uploaded_scenes import UPLOADS, scene_file
 from fracture_collision.ros.processes.parameters import Declaration, Range, declare
@@ -86,7 +87,7 @@ class LiveSimulatorNode(SimulatorNode):
             self.create_subscription(topic.message_class, topic.name, callback, topic.qos)
         topic = qos.SIMULATION_STATUS
         self._status = self.create_publisher(topic.message_class, topic.name, topic.qos)
-        self._arm = ArmPublisher(self)
+        self._robot = RobotPublisher(self)
         for service, answer in (
             (interfaces.RESET, self._on_reset), (interfaces.REWIND, self._on_rewind),
             (interfaces.STEP, self._on_step), (interfaces.PAUSE, self._on_pause),
@@ -114,7 +115,7 @@ class LiveSimulatorNode(SimulatorNode):
     def _run_once(self, executor: Executor) -> None:
         """Runs until a reset or a rewind is requested."""
         self._set_lookahead(executor)
-        self._arm.begin(self._scene.arm)
+        self._robot.begin(self._scene.robot)
         self._announce(self._simulation.start_bodies(), self._history.events)
         due = time.monotonic()
         report, round_trip = None, 0.0
@@ -195,9 +196,9 @@ class LiveSimulatorNode(SimulatorNode):
             status.solver_s, status.fracture_s = report.solver_seconds, report.fracture_seconds
             status.kinetic_energy = report.kinetic_energy
         self._status.publish(status)
-        arm = self._simulation.arm
-        if arm is not None:
-            self._arm.publish(arm, heading(0.0 if report is None else report.time))
+        robot = self._simulation.robot
+        if robot is not None:
+            self._robot.publish(robot.joints(), heading(0.0 if report is None else report.time))
 
     # --- commands --------------------------------------------------------------------------------------------------
 
@@ -242,6 +243,9 @@ class LiveSimulatorNode(SimulatorNode):
         name = self.get_parameter("next_scene").value or self._scene_name
         try:
             scene = self._load(str(name if name in self._offered else scene_file(self._uploads, name) or name))
+        except MissingExtra as error:
+            response.message = str(error)
+            return response
         except (SceneError, OSError) as error:
             # Errors quote the file, and its content must not leave this machine.
             self.get_logger().error(str(error))

@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from fracture_collision.cdr import Received
 from fracture_collision.msg import AnswerTimes, SimulationStatus
@@ -30,7 +31,7 @@ from fracture_collision.ros.processes.process import Fatal, nothing_to_lose, run
 from fracture_collision.ros.wire import interfaces, qos
 from fracture_collision.ros.wire.cdr_records import deserialize_record
 from fracture_collision.ros.wire.conversion import to_record
-from fracture_collision.simulation.actors.arm import PARTS, joint_limits
+from fracture_collision.simulation.actors.robot import BODY_PREFIX, SLIDING, parse_urdf
 from fracture_collision.simulation.scene.scene import scene_files
 from fracture_collision.uploaded_scene import SUFFIXES
 from fracture_collision.viewer.page.page import Page
@@ -85,14 +86,14 @@ class PageNode(Node):
         self._status: SimulationStatus | None = None
         self._times: AnswerTimes | None = None  # not shown yet
         self._status_at = 0.0  # time.monotonic() of its arrival
-        self._awaits_joints = False  # of an arm that was added
+        self._awaits_joints = False  # of a robot that was added
+        self._robot: tuple[Joint, ...] = ()  # those with a motor, of the last robot_description
+        self._joints: JointState | None = None  # the last one
         self._refused = ""  # the last rejection that the simulator reported
 
-        limits = joint_limits()
-        joints = tuple(map(Joint, limits.names, limits.lower.tolist(), limits.upper.tolist()))
         scenes = tuple(dict.fromkeys((scene, *(file.path.stem for file in scene_files()))))
         try:
-            start = Start(scenes=scenes, scene=scene, mesh_suffixes=SUFFIXES, settings=KNOBS, joints=joints)
+            start = Start(scenes=scenes, scene=scene, mesh_suffixes=SUFFIXES, settings=KNOBS)
             self.page = Page(self._commands.handlers(), start, host, port, TOLD)
         except OSError as error:
             raise Fatal(f"the page cannot be served at {host}:{port}: {error}") from error
@@ -110,6 +111,7 @@ class PageNode(Node):
     def _look(self) -> None:
         self._settings.look()
         self._commands.look()
+        self._show_joints()
         if (status := self._status) is not None:
             in_step = time.monotonic() - self._status_at > LONG_STEP
             if in_step:
@@ -129,6 +131,7 @@ class PageNode(Node):
             (interfaces.LIVE_STATUS, self._on_status, LOOKING, False),
             (qos.ANSWER_TIMES, self._on_times, LOOKING, False),
             (qos.JOINT_STATES, self._on_joints, LOOKING, False),
+            (qos.ROBOT_DESCRIPTION, self._on_robot, qos.ROBOT_DESCRIPTION.qos, False),
         ):
             self.create_subscription(topic.message_class, topic.name, callback, profile, raw=raw)
 
@@ -145,7 +148,7 @@ class PageNode(Node):
             self._meshes.clear()
             self._commands.new_run(message.run_id)
             self._mirror.new_run(message.run_id)
-            self._awaits_joints = False
+            self._awaits_joints, self._joints = False, None
             self.page.new_run()
             if self._early is not None and self._of_this_run(self._early.run_id):
                 self._show(self._early)
@@ -155,7 +158,7 @@ class PageNode(Node):
         if body.operation == REMOVE:
             self.page.remove_body(body.body_id)
             return
-        self._awaits_joints |= body.name == PARTS[0].name
+        self._awaits_joints |= body.name.startswith(BODY_PREFIX)
         self._body_of[body.fragment_id] = body.body_id
         self.page.add_body(body)
 
@@ -220,9 +223,26 @@ class PageNode(Node):
             self._refused = message.refused
 
     def _on_joints(self, message: JointState) -> None:
+        self._joints = message
+
+    def _on_robot(self, message: String) -> None:
+        with suppress(ValueError):  # not a robot's
+            self._robot = tuple(
+                Joint(joint.name, lower, upper, torque, joint.kind in SLIDING)
+                for joint in parse_urdf(message.data, qos.ROBOT_DESCRIPTION.name).moving()
+                for lower, upper, _, torque in (joint.limits,) if torque > 0.0
+            )  # fmt: skip
+
+    def _show_joints(self) -> None:
+        """Shows sliders once a run's robot is described and has told its angles, then torques."""
+        joints, names = self._joints, [joint.name for joint in self._robot]
+        if joints is None or not names or not set(names) <= set(joints.name):
+            return
+        angles, torques = (dict(zip(joints.name, each)) for each in (joints.position, joints.effort))  # noqa: B905
         if self._awaits_joints:
             self._awaits_joints = False
-            self.page.show_arm(message.position)
+            self.page.show_robot(self._robot, [angles[name] for name in names])
+        self.page.show_torques([torques.get(name, 0.0) for name in names])
 
     def _on_settings(self, settings: dict[str, Any]) -> None:
         self._mirror.hear_settings(settings)

@@ -55,7 +55,7 @@ LIVE_STATUS = qos.of_node(qos.SIMULATION_STATUS, LIVE_SIMULATOR_NODE)  # as othe
 RECORDER = Interface(subscribes=(*qos.TOPICS, qos.DIAGNOSTICS))
 PAGE = Interface(
     subscribes=(
-        *qos.TOPICS, LIVE_STATUS, qos.ANSWER_TIMES, qos.JOINT_STATES,
+        *qos.TOPICS, LIVE_STATUS, qos.ANSWER_TIMES, qos.JOINT_STATES, qos.ROBOT_DESCRIPTION,
     ),
     publishes=(
         qos.CMD_VEL, qos.JOINT_COMMANDS, qos.of_node(qos.THROW_BALL, LIVE_SIMULATOR_NODE),

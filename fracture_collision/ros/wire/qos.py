@@ -107,13 +107,13 @@ THROW_BALL = Topic("~/throw_ball", ThrowBall, COMMANDS, "a ball to throw into th
 HAND_TARGET = Topic("~/hand_target", HandTarget, NEWEST, "a hand that drags a fragment")
 SIMULATION_STATUS = Topic("~/status", SimulationStatus, NEWEST, "step, times, rate, last rejected command")
 CMD_VEL = Topic("cmd_vel", Twist, NEWEST, "velocity of the hammer: linear, world axes")
-# Of an arm: target and actual positions of its joints; only `name` and `position` of a command count.
-JOINT_COMMANDS = Topic("joint_commands", JointState, COMMANDS, "target angles of the arm's joints")
-JOINT_STATES = Topic("joint_states", JointState, NEWEST, "angles and speeds of the arm's joints")
+# Of a robot: target and actual positions of its joints; only `name` and `position` of a command count.
+JOINT_COMMANDS = Topic("joint_commands", JointState, COMMANDS, "target angles of the robot's joints")
+JOINT_STATES = Topic("joint_states", JointState, NEWEST, "angles, speeds and motor torques of the robot's joints")
 # QoS as of robot_state_publisher and of tf2_ros's broadcasters.
-ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED_NEWEST, "the arm as URDF")
-TF = Topic("/tf", TFMessage, QoSProfile(depth=100), "frames of the arm's links, each in that of the link before")
-TF_STATIC = Topic("/tf_static", TFMessage, LATCHED_NEWEST, "frame of the arm's foot in the world")
+ROBOT_DESCRIPTION = Topic("robot_description", String, LATCHED_NEWEST, "the robot as URDF, with its motors' torques")
+TF = Topic("/tf", TFMessage, QoSProfile(depth=100), "frames of the robot's links, each in that of its parent")
+TF_STATIC = Topic("/tf_static", TFMessage, LATCHED_NEWEST, "frame of the robot's base link in the world")
 
 TOPICS = (BODIES, FRACTURE_EVENTS, FRAGMENT_STATES, CONTACT_CONSTRAINTS, FRAGMENTS, FRAGMENT_MESHES)
 

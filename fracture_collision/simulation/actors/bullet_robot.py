@@ -24,6 +24,7 @@ need("bullet", "a robot")
 
 import pybullet  # noqa: E402
 
+from fracture_collision.simulation.actors.joint_goals import JointGoals, JointLimits  # noqa: E402
 from fracture_collision.simulation.actors.robot import (  # noqa: E402
     JointStates,
     Push,
@@ -61,6 +62,8 @@ class BulletRobot:
         start = plan.start_angles()
         self._angles = np.array([start.get(name, 0.0) for name in self._names])
         self._speeds, self._torques = np.zeros((2, len(self._names)))
+        self.limits: JointLimits = plan.limits()
+        self._goals: JointGoals | None = None  # None: the motors follow their tables
         self._steps = 0
         self._frames: FrameState | None = None  # None: not read since the last change
         self._client: int | None = None
@@ -96,6 +99,19 @@ class BulletRobot:
         states = pybullet.getJointStates(self._robot, self._joint_numbers, physicsClientId=self._client)
         self._angles, self._speeds, self._torques = (np.array([state[k] for state in states]) for k in (0, 1, 3))
         self._steps += 1
+        if self._goals is not None:
+            self._goals = self._goals.advanced(self.limits, self._time_step)
+
+    def command(self, names: Sequence[str], positions: Sequence[float]) -> None:
+        """As in Robot."""
+        goals = self._goals
+        if goals is None:  # from where the tables have the motors now
+            aims = dict(zip(self._names, self._angles.tolist(), strict=True))
+            time = self._steps * self._time_step
+            aims |= {motor.joint: motor.track.at(time)[0] for motor in self._plan.motors if motor.controls_position}
+            angles = np.array([aims[name] for name in self.limits.names])
+            goals = JointGoals(angles, np.zeros(len(angles)), angles)
+        self._goals = goals.commanded(self.limits, names, positions)
 
     def joints(self) -> JointStates:
         """As in Robot."""
@@ -169,12 +185,18 @@ class BulletRobot:
 
     def _command(self) -> None:
         """Set the motors for a step from now."""
-        time = self._steps * self._time_step
+        time, goals, limits = self._steps * self._time_step, self._goals, self.limits
+        after = None if goals is None else goals.advanced(limits, self._time_step)
         for motor in self._plan.motors:
             value, rate = motor.track.at(time)
             number = self._joint_numbers[self._names.index(motor.joint)]
             at = {"force": motor.torque, "velocityGain": motor.velocity_gain, "physicsClientId": self._client}
-            if motor.controls_position:
+            if goals is not None and after is not None:
+                i = limits.names.index(motor.joint)
+                value, rate = goals.angles[i], (after.angles[i] - goals.angles[i]) / self._time_step
+                # It does not hurry back to where something kept it from.
+                at["maxVelocity"] = limits.speeds[i]
+            if motor.controls_position or goals is not None:
                 pybullet.setJointMotorControl2(
                     self._robot, number, pybullet.POSITION_CONTROL, targetPosition=value, targetVelocity=rate,
                     positionGain=motor.position_gain, **at,

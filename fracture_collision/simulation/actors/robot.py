@@ -17,6 +17,7 @@ import numpy as np
 from fracture_collision.extras import need
 from fracture_collision.geometry import round_solids
 from fracture_collision.portable_math import cosine, lengths, sine
+from fracture_collision.simulation.actors.joint_goals import JointLimits
 from fracture_collision.simulation.config.scene_fields import (
     MAX_TRACK_BYTES,
     ROTATION,
@@ -64,6 +65,13 @@ class Robot(Protocol):
 
     def commit(self, pushes: Sequence[Push]) -> None:
         """Take the step."""
+
+    @property
+    def limits(self) -> JointLimits:
+        """Of the joints that take commands: those with a motor."""
+
+    def command(self, names: Sequence[str], positions: Sequence[float]) -> None:
+        """Move joints to `positions` from now on, as in JointGoals.commanded; the others stay. Raises ValueError."""
 
     def joints(self) -> JointStates:
         """Present angles and speeds, and the torques of the last step."""
@@ -117,6 +125,37 @@ class RobotPlan(NamedTuple):
     orientation: np.ndarray  # (4,) unit quaternion x y z w
     motors: tuple[Motor, ...]
     shapes: tuple[LinkShape, ...]
+    speed_limit: float  # [rad/s], [m/s] of a joint on its way to a commanded angle
+    acceleration_limit: float  # [rad/s2], [m/s2] likewise
+
+    def standing(self) -> RobotPlan:
+        """The same robot without its tables: its motors hold where it begins until commanded."""
+        start = self.start_angles()
+        held = (
+            motor._replace(
+                controls_position=True, track=Track(np.zeros(1), np.array([start.get(motor.joint, 0.0)]))
+            )
+            for motor in self.motors
+        )
+        return self._replace(motors=tuple(held))
+
+    def limits(self) -> JointLimits:
+        """Of the joints with a motor, in the order of the URDF file."""
+        driven = {motor.joint for motor in self.motors}
+        joints = [joint for joint in read_urdf(self.urdf).moving() if joint.name in driven]
+        lower, upper, speeds = (np.array([each[k] for each in (j.limits for j in joints)]) for k in range(3))
+        names = tuple(joint.name for joint in joints)
+        units, speeds = tuple(UNITS[joint.kind] for joint in joints), np.minimum(speeds, self.speed_limit)
+        return JointLimits(names, lower, upper, speeds, self.acceleration_limit, units)
+
+    def description(self) -> str:
+        """The URDF, with the motors' torques as limits of effort, 0 without a motor."""
+        tree = ElementTree.fromstring(read_text(self.urdf, MAX_TRACK_BYTES))
+        torques = {motor.joint: motor.torque for motor in self.motors}
+        for joint in tree.findall("joint"):
+            for limit in joint.findall("limit"):
+                limit.set("effort", f"{torques.get(joint.get('name', ''), 0.0):g}")
+        return ElementTree.tostring(tree, encoding="unicode")
 
     def start_angles(self) -> dict[str, float]:
         """Angles [rad], [m] of the joints with a motor for their position, at the start; others begin at 0."""
@@ -130,6 +169,8 @@ class RobotPlan(NamedTuple):
 
 # Joints that turn, joints that slide; "fixed" ones do neither.
 TURNING, SLIDING = ("revolute", "continuous"), ("prismatic",)
+UNITS = {**dict.fromkeys(TURNING, "rad"), **dict.fromkeys(SLIDING, "m")}  # of joint positions
+BODY_PREFIX = "robot "  # of the names of its shapes as bodies
 _Frame = tuple[np.ndarray, np.ndarray]
 
 
@@ -144,6 +185,17 @@ class Joint(NamedTuple):
     orientation: np.ndarray  # (4,) unit quaternion x y z w, likewise
     axis: np.ndarray  # (3,) unit, in the joint's frame
     damping: float  # [N m s/rad], [N s/m]
+    limits: tuple[float, float, float, float]  # lower, upper [rad], [m], speed, effort; inf without
+
+    def frame(self, angle: float) -> _Frame:
+        """The frame of its child in that of its parent, at `angle` [rad], [m]."""
+        place, turn = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+        if self.kind in TURNING:
+            half = np.array(0.5 * angle)
+            turn = np.append(float(sine(half)) * self.axis, float(cosine(half)))
+        elif self.kind in SLIDING:
+            place = angle * self.axis
+        return _moved((self.position, self.orientation), place, turn)
 
 
 class Urdf(NamedTuple):
@@ -168,8 +220,13 @@ class Urdf(NamedTuple):
 
 def read_urdf(file: Path) -> Urdf:
     """The links and joints of a URDF file. ValueError, with an explanation, if they do not form one tree."""
+    return parse_urdf(read_text(file, MAX_TRACK_BYTES), str(file))
+
+
+def parse_urdf(text: str, file: str) -> Urdf:
+    """As read_urdf, of the content of `file`."""
     try:
-        robot = ElementTree.fromstring(read_text(file, MAX_TRACK_BYTES))
+        robot = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise ValueError(f"{file}: {error}") from error
     links = [link.get("name", "") for link in robot.findall("link")]
@@ -208,8 +265,11 @@ def parse_robot(fields: Fields, folder: Path | None) -> RobotPlan:
     for i, motor in enumerate(motors):
         if motor.joint in [other.joint for other in motors[:i]]:
             raise SceneError(f"{fields.name('motors')}[{i}].joint: {quoted(motor.joint)} has a motor already")
+    words = "of a joint on its way to a commanded angle; of a prismatic joint [m/s"
+    speed = fields.number("speed_limit", f"[rad/s] {words}]; the URDF's own limit counts as well", 3.0, above=0.0)
+    acceleration = fields.number("acceleration_limit", f"[rad/s2] {words}2]", 15.0, above=0.0)
     fields.finish()
-    return RobotPlan(file, position, from_euler_angles(DEGREE * rotation), motors, shapes)
+    return RobotPlan(file, position, from_euler_angles(DEGREE * rotation), motors, shapes, speed, acceleration)
 
 
 def _motor(fields: Fields, urdf: Urdf, folder: Path | None) -> Motor:
@@ -263,7 +323,15 @@ def _joint(element: ElementTree.Element) -> Joint:
         raise ValueError(f"joint {name}: needs a parent and a child link")
     damping = float(_numbers(element.find("dynamics"), "damping", (0.0,))[0])
     ends = parent.get("link", ""), child.get("link", "")
-    return Joint(name, kind, *ends, *_origin(element), axis=axis / size, damping=damping)
+    limit = element.find("limit")
+    turns = kind == "continuous"
+    defaults = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
+    lower, upper, speed, effort = (
+        default if limit is None or limit.get(key) is None or (turns and key in ("lower", "upper"))
+        else float(_numbers(limit, key, (0.0,))[0])
+        for key, default in defaults.items()
+    )  # fmt: skip
+    return Joint(name, kind, *ends, *_origin(element), axis / size, damping, (lower, upper, speed, effort))
 
 
 def _origin(element: ElementTree.Element) -> _Frame:
@@ -285,7 +353,7 @@ def _shapes(urdf: Urdf, file: Path) -> tuple[LinkShape, ...]:
     for link, position, orientation, element in urdf.shapes:
         names.append(link)
         count = names.count(link)
-        name = f"robot {link}" if count == 1 else f"robot {link} {count}"
+        name = f"{BODY_PREFIX}{link}" if count == 1 else f"{BODY_PREFIX}{link} {count}"
         made.append(LinkShape(name, link, position, orientation, _shape(element, file, link), link in fixed))
     if not made:
         raise ValueError(f"{file}: its links have no collision shapes")
@@ -337,15 +405,7 @@ def _link_frames(
     """Frames of all links by name, given that of the base link and the joints' angles [rad], [m], 0 without."""
     frames: dict[str, _Frame] = {urdf.root: (position, orientation)}
     for joint in urdf.joints:
-        angle = angles.get(joint.name, 0.0)
-        place, turn = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
-        if joint.kind in TURNING:
-            half = np.array(0.5 * angle)
-            turn = np.append(float(sine(half)) * joint.axis, float(cosine(half)))
-        elif joint.kind in SLIDING:
-            place = angle * joint.axis
-        at = _moved(frames[joint.parent], joint.position, joint.orientation)
-        frames[joint.child] = _moved(at, place, turn)
+        frames[joint.child] = _moved(frames[joint.parent], *joint.frame(angles.get(joint.name, 0.0)))
     return frames
 
 

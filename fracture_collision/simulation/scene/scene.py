@@ -18,12 +18,11 @@ from fracture_collision.geometry.generators import TetGeometry
 from fracture_collision.near_names import did_you_mean
 from fracture_collision.records import BOX, CONE, CYLINDER, SPHERE, CollisionBody, SolidPrimitive, documented
 from fracture_collision.share import share_directory
-from fracture_collision.simulation.actors.arm import PARTS, Arm, ArmKinematics, parse_arm
 from fracture_collision.simulation.actors.hand import Hand, parse_hand
 from fracture_collision.simulation.actors.robot import RobotPlan, parse_robot
 from fracture_collision.simulation.config.scene_fields import ROTATION, Fields, SceneError, quoted, read_yaml
 from fracture_collision.simulation.config.shapes import Shape, parse_shape
-from fracture_collision.simulation.rotations import DEGREE, from_euler_angles, turned_by
+from fracture_collision.simulation.rotations import DEGREE, from_euler_angles
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
 
 MAX_STEPS = 1_000_000_000
@@ -105,7 +104,6 @@ class Scene(NamedTuple):
     solver: SolverSettings
     bodies: tuple[SceneBody, ...]
     hand: Hand | None = None  # that drags bodies
-    arm: Arm | None = None  # its parts are among the bodies, under the names of arm.PARTS
     engine: str = OWN  # of ENGINES
     model: Model | None = None
     robot: RobotPlan | None = None  # its collision shapes are among the bodies, under the names of its `shapes`
@@ -205,14 +203,9 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
 def _machines(
     root: Fields, materials: Mapping[str, Material], folder: Path | None
 ) -> tuple[dict[str, Any], tuple[SceneBody, ...]]:
-    """The scene's fields `arm`, `robot`, `engine` and `model`, and the bodies that these bring."""
-    found: dict[str, Any] = {"arm": None, "robot": None, "model": None}
+    """The scene's fields `robot`, `engine` and `model`, and the bodies that these bring."""
+    found: dict[str, Any] = {"robot": None, "model": None}
     bodies: tuple[SceneBody, ...] = ()
-    arm = root.take("arm", "a robot arm, the KUKA LBR iiwa", None, "fields")
-    if arm is not None:
-        fields = Fields(arm, "arm")
-        material, found["arm"] = _material_of(fields, materials), parse_arm(fields, folder)
-        bodies += _arm_bodies(found["arm"], material)
     robot = root.take("robot", "a robot from a URDF file, moved by PyBullet", None, "fields")
     if robot is not None:
         fields = Fields(robot, "robot")
@@ -310,20 +303,6 @@ def _model_bodies(
         SceneBody(link.name, link.shape, material, True, link.position, link.orientation, 0.0, still, still)
         for link in links_of(file)
     )
-
-
-def _arm_bodies(arm: Arm, material: Material) -> tuple[SceneBody, ...]:
-    """The arm's parts as bodies, at the start of its swing."""
-    centers, turns = ArmKinematics(arm.position, arm.orientation).places(arm.swing()(0.0))
-    foot = arm.position + turned_by(arm.orientation, np.array(PARTS[0].center))
-    places = [(foot, arm.orientation), *zip(centers, turns, strict=True)]
-    return tuple(
-        SceneBody(
-            part.name, part.shape, material._replace(fracture=None), part.link == 0, center, turn, 0.0, np.zeros(3),
-            np.zeros(3),
-        )
-        for part, (center, turn) in zip(PARTS, places, strict=True)
-    )  # fmt: skip
 
 
 def _robot_bodies(robot: RobotPlan, material: Material) -> tuple[SceneBody, ...]:

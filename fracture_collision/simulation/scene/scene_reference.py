@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from fracture_collision.share import share_directory
-from fracture_collision.simulation.actors.arm import JOINTS, URDF
 from fracture_collision.simulation.config.scene_fields import Entry, Fields, SceneError, recorded
 from fracture_collision.simulation.config.shapes import KINDS, MAKERS, SHAPES, parse_shape
 from fracture_collision.simulation.scene.scene import parse_scene
@@ -24,9 +23,8 @@ EVERYTHING: dict[str, Any] = {
     "materials": {NAME: {"density": 1.0, "friction": 0.5, "fracture": {"strength": 1.0, "minimum_mass": 0.0}}},
     "bodies": [{"name": "stone", "material": NAME, "shape": {"sphere": {"radius": 1.0}}}],
     "hand": {"track": [[0.0, 0.0, 0.0, 1.0, "stone"], [1.0, 0.0, 0.0, 1.0, ""]]},
-    "arm": {"material": NAME, "swing": [[0.0] * (1 + JOINTS)]},
     "robot": {
-        "material": NAME, "urdf": str(share_directory() / URDF),
+        "material": NAME, "urdf": str(share_directory() / "config" / "robots" / "lbr_iiwa.urdf"),
         "motors": [
             {"joint": "lbr_iiwa_joint_1", "torque": 1.0, "position": [[0.0, 0.0]]},
             {"joint": "lbr_iiwa_joint_2", "torque": 1.0, "velocity": [[0.0, 0.0]]},
@@ -46,7 +44,6 @@ TITLES = {
     f"materials.{NAME}.fracture.pattern": f"materials: {NAME}: fracture: pattern",
     "bodies[]": "bodies: each",
     "hand": "hand",
-    "arm": "arm",
     "robot": "robot",
     "robot.motors[]": "robot: motors: each",
 }

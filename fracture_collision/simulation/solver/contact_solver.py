@@ -47,9 +47,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.kernel_sources import cached_njit
-from fracture_collision.portable_math import lengths
+from fracture_collision.portable_math import dots, lengths
 from fracture_collision.records import ContactConstraintArray, documented
 from fracture_collision.simulation.compiled import uncounted
+from fracture_collision.simulation.rotations import crossed
 from fracture_collision.simulation.solver.contact_islands import Bodies, Contacts, Result, islands_of, solve_islands
 from fracture_collision.simulation.solver.warm_start import WarmStart, carried_impulses
 
@@ -205,6 +206,18 @@ def kinetic_energy(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndar
     """Kinetic energy [J] of n bodies with velocities (n, 6), all together."""
     moving, turning = _doubled_energies(masses, inertias, velocities)
     return float(0.5 * (moving.sum() + turning.sum()))
+
+
+def work_of_impulses(
+    rows: np.ndarray, impulses: np.ndarray, arms: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> float:
+    """Kinetic energy [J] by impulses (k, 3) [N s] on the bodies `rows` (k,), at `arms` (k, 3) [m] from their centres.
+
+    before, after: (n, 6) velocities of all bodies. An impulse J adds J (v + v') / 2, with the velocities of the point
+    where it acts, whatever else acts at the same time.
+    """
+    means = 0.5 * (before + after)[rows]
+    return float(dots(impulses, means[:, :3] + crossed(means[:, 3:], arms)).sum())
 
 
 @cached_njit

@@ -20,7 +20,7 @@ from fracture_collision.records import CollisionBody, ContactConstraintArray, Fr
 from fracture_collision.viewer.page.page_camera import Cameras
 from fracture_collision.viewer.page.page_contacts import ContactLayers
 from fracture_collision.viewer.page.page_controls import Controls, add_help, help_text
-from fracture_collision.viewer.page.page_events import Handlers, ServiceSliders, Start
+from fracture_collision.viewer.page.page_events import Handlers, Joint, ServiceSliders, Start
 from fracture_collision.viewer.page.page_inside import Inside, InsideView
 from fracture_collision.viewer.page.page_plots import Figures, Plots, Summary, check_told, plots_of
 from fracture_collision.viewer.page.page_scene import DragHandlers, SceneNodes
@@ -178,9 +178,13 @@ class Page:
         """Move the service sliders; calls no handler."""
         self._controls.show_service(service)
 
-    def show_arm(self, angles: Sequence[float]) -> None:
-        """Show the sliders of the scene's arm, with its joints at `angles` [rad], until the next run."""
-        self._order(lambda: self._controls.show_arm(angles))
+    def show_robot(self, joints: Sequence[Joint], angles: Sequence[float]) -> None:
+        """Show sliders of the robot's joints, which are at `angles` [rad], [m], until the next run."""
+        self._order(lambda: self._controls.show_robot(joints, angles))
+
+    def show_torques(self, torques: Sequence[float]) -> None:
+        """Show the torques [N m], [N] of the joints of show_robot; to be called several times a second."""
+        self._order(lambda: self._controls.show_torques(torques))
 
     def notify(self, words: str) -> None:
         """Show a notification for some seconds in all connected browsers."""
@@ -266,7 +270,7 @@ class Page:
         self._scene.clear()
         self._cameras.forget()
         self._summary.clear()
-        self._controls.show_arm(None)
+        self._controls.show_robot((), ())
         self._plots.clear()
         if self._inside is not None:
             self._inside.clear()

@@ -32,8 +32,8 @@ class Controls:
         self._gui = server.gui
         self._handlers = handlers
         self._service: dict[str, Any] = {}  # by name of a setting
-        self._arm: viser.GuiFolderHandle | None = None
-        self._joints: list[viser.GuiSliderHandle] = []
+        self._robot: viser.GuiFolderHandle | None = None  # hidden while the scene has none
+        self._joints: list[tuple[Joint, viser.GuiSliderHandle, viser.GuiTextHandle]] = []
         self._pause: viser.GuiCheckboxHandle | None = None
         self._paused = False  # the scene, when last heard
         self._scene: viser.GuiDropdownHandle[str] | None = None
@@ -45,8 +45,8 @@ class Controls:
         self._add_time(start)
         if handlers.clicked:
             self._add_ball(server, start.ball, handlers.clicked)
-        if handlers.joint_set and start.joints:
-            self._add_arm(start.joints, handlers.joint_set)
+        if handlers.joint_set:
+            self._robot = self._gui.add_folder("Robot: joints, degrees or mm", visible=False)
         if handlers.arrow:
             self._add_hammer(handlers.arrow)
         if handlers.service_set and start.settings:
@@ -72,12 +72,22 @@ class Controls:
         for name, knob in self._service.items():
             knob.value = getattr(service, name)
 
-    def show_arm(self, angles: Sequence[float] | None) -> None:
-        """Show the arm's sliders, with the joints at `angles` [rad]; None: there is no arm."""
-        if self._arm is not None:
-            for slider, angle in zip(self._joints, angles or (), strict=False):
-                slider.value = round(math.degrees(angle))  # type: ignore[misc]  # mypy misses viser's setter
-            self._arm.visible = angles is not None
+    def show_robot(self, joints: Sequence[Joint], angles: Sequence[float]) -> None:
+        """Show sliders of a robot's joints, which are at `angles` [rad], [m]; without joints: there is no robot."""
+        if self._robot is None or self._handlers.joint_set is None:
+            return
+        for _, slider, text in self._joints:
+            slider.remove()
+            text.remove()
+        self._robot.visible, self._joints = bool(joints), []  # type: ignore[misc]  # as above
+        with self._robot:
+            for number, (joint, angle) in enumerate(zip(joints, angles, strict=True), 1):
+                self._add_joint(number, joint, angle, self._handlers.joint_set)
+
+    def show_torques(self, torques: Sequence[float]) -> None:
+        """Show the torques [N m], [N] of the joints of show_robot beside their limits."""
+        for (joint, _, text), torque in zip(self._joints, torques, strict=False):
+            text.value = f"{torque:.1f} of {joint.torque:g}"  # type: ignore[misc]  # mypy misses viser's setter
 
     def _add_time(self, start: Start) -> None:
         handlers = self._handlers
@@ -112,18 +122,15 @@ class Controls:
         )
         buttons.on_click(_as_coroutine(lambda event: arrow(event.target.value)))
 
-    def _add_arm(self, joints: Sequence[Joint], joint_set: Callable[[str, float], None]) -> None:
-        self._arm = self._gui.add_folder("Arm: joints, degrees", visible=False)
-        with self._arm:
-            for number, joint in enumerate(joints, 1):
-                lower, upper = (round(math.degrees(limit)) for limit in (joint.lower, joint.upper))
-                slider = self._gui.add_slider(f"joint {number}", lower, upper, 1, min(max(0, lower), upper))
-                self._joints.append(slider)
-
-                def bend(degrees: float, joint: Joint = joint) -> None:
-                    joint_set(joint.name, min(max(math.radians(degrees), joint.lower), joint.upper))
-
-                on_update(slider, bend)
+    def _add_joint(self, number: int, joint: Joint, angle: float, joint_set: Callable[[str, float], None]) -> None:
+        unit, turn = (1e-3, 1.0) if joint.slides else (math.radians(1.0), math.pi)
+        lower, upper = (round(limit / unit) for limit in (max(joint.lower, -turn), min(joint.upper, turn)))
+        start = min(max(round(angle / unit), lower), upper)
+        slider = self._gui.add_slider(f"joint {number}", lower, upper, 1, start, hint=joint.name)
+        label = f"torque {number}, {'N' if joint.slides else 'N m'}"
+        text = self._gui.add_text(label, f"0 of {joint.torque:g}", disabled=True, hint="Of its motor, and its limit.")
+        self._joints.append((joint, slider, text))
+        on_update(slider, lambda value: joint_set(joint.name, min(max(value * unit, joint.lower), joint.upper)))
 
     def _add_service(self, start: Start, service_set: Callable[[ServiceSliders], None]) -> None:
         with self._gui.add_folder("Collision service"):
@@ -259,6 +266,9 @@ def _controls(handlers: Handlers, start: Start) -> Sequence[tuple[str, bool]]:
         ),
         ("*slow motion*: simulated seconds per second", handlers.slow_motion is not None),
         ("*record*: writes a bag, for `fracture-collision view`, `film` and `replay`", handlers.recording is not None),
-        ("*joint 1* to *joint 7*: the robot arm, in scenes that have one", bool(handlers.joint_set and start.joints)),
+        (
+            "*joint 1*, *torque 1* and so on: the robot, in scenes that have one, and what its motors exert",
+            handlers.joint_set is not None,
+        ),
         *((f"*{name}*: {knob.hint}", handlers.service_set is not None) for name, knob in start.settings.items()),
     )

@@ -76,11 +76,13 @@ class InsideWanted(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """A joint of an arm; the page has a slider for it while the scene has the arm."""
+    """A joint of a robot with a motor; the page has a slider for it while the scene has the robot."""
 
     name: str
-    lower: float  # [rad]
-    upper: float  # [rad]
+    lower: float  # [rad]; of one that slides [m]
+    upper: float
+    torque: float  # [N m], [N] of its motor at most
+    slides: bool = False
 
 
 class Upload(NamedTuple):
@@ -110,7 +112,7 @@ class Handlers(NamedTuple):
     one_step: Callable[[], None] | None = None
     slow_motion: Callable[[float], None] | None = None  # simulated seconds a second of the wall clock, at most 1
     service_set: Callable[[ServiceSliders], None] | None = None
-    joint_set: Callable[[str, float], None] | None = None  # name, [rad] within its limits
+    joint_set: Callable[[str, float], None] | None = None  # name, [rad] or [m] within its limits
     recording: Callable[[bool], None] | None = None
     looking_inside: Callable[[InsideWanted], None] | None = None  # answered by Page.show_inside, repeatedly
 
@@ -125,4 +127,3 @@ class Start(NamedTuple):
     slow_motion: float = 1.0
     service: ServiceSliders = ServiceSliders()
     settings: Mapping[str, SettingKnob] = MappingProxyType({})  # by field of `service`; those that have a control
-    joints: tuple[Joint, ...] = ()

@@ -160,7 +160,7 @@ class Census(NamedTuple):
     unbroken: int  # breakable bodies in one piece
     broken: int  # bodies in pieces
     pieces: int  # of the broken ones
-    others: int  # bodies that cannot break: balls, links of an arm, a hammer
+    others: int  # bodies that cannot break: balls, links of a robot, a hammer
 
     @property
     def fragments(self) -> int:

@@ -15,7 +15,7 @@ BALL_COLOUR = (0.012, 0.012, 0.015)  # of what else moves: black and polished
 STEEL_COLOUR = (0.60, 0.62, 0.66)
 STEEL_DENSITY = 7000.0  # [kg/m3] and more: steel, such as a hammer
 # How the names of a robot's parts begin.
-ARM, ARM_COLOUR = ("arm ", "robot "), (0.55, 0.56, 0.55)
+ROBOT, ROBOT_COLOUR = "robot ", (0.55, 0.56, 0.55)
 STATIC_COLOURS = ((0.46, 0.29, 0.16), (0.34, 0.21, 0.12), (0.62, 0.60, 0.56), (0.40, 0.42, 0.44))
 # Gap [m] -> display colour: penetration red, touching yellow, about to touch green.
 GAP_SCALE = 5e-4  # [m] at this gap or more the colour is saturated
@@ -37,14 +37,14 @@ class Paint(NamedTuple):
 class Palette:
     """Colours of the bodies added to it: a family for each breakable body, in the order of `add`.
 
-    What moves and cannot break has no hue, by its material: balls are black, a hammer is of steel, an arm is white.
+    What moves and cannot break has no hue, by its material: balls are black, a hammer is of steel, a robot is white.
     """
 
     def __init__(self) -> None:
         self._family: dict[int, int] = {}
         self._static_rank: dict[int, int] = {}
         self._steel: set[int] = set()
-        self._arm: set[int] = set()
+        self._robot: set[int] = set()
 
     def add(self, body: CollisionBody) -> None:
         """Give a body its colours."""
@@ -52,8 +52,8 @@ class Palette:
             self._family.setdefault(body.body_id, len(self._family))
         elif body.is_static and not np.any(body.plane):
             self._static_rank.setdefault(body.body_id, len(self._static_rank))
-        elif body.name.startswith(ARM):
-            self._arm.add(body.body_id)
+        elif body.name.startswith(ROBOT):
+            self._robot.add(body.body_id)
         elif body.density >= STEEL_DENSITY:
             self._steel.add(body.body_id)
 
@@ -75,8 +75,8 @@ class Palette:
             return Paint(colour, colour, PLAIN_SHINE)
         if body_id in self._steel:
             return Paint(STEEL_COLOUR, STEEL_COLOUR, GLAZE_SHINE, is_metal=True)
-        if body_id in self._arm:
-            return Paint(ARM_COLOUR, ARM_COLOUR, GLAZE_SHINE)
+        if body_id in self._robot:
+            return Paint(ROBOT_COLOUR, ROBOT_COLOUR, GLAZE_SHINE)
         return Paint(BALL_COLOUR, BALL_COLOUR, POLISH_SHINE)
 
 

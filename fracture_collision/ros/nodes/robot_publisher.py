@@ -1,4 +1,4 @@
-"""The arm of a live scene as standard tools expect a robot: robot_description, joint_states and tf.
+"""The robot of a live scene as standard tools expect a robot: robot_description, joint_states and tf.
 
 Frames are the links of the URDF, each in that of the link before, the first one in `world`. Bodies and fragments have
 no frames: there are hundreds of them, and their poses are in fragment_states and markers.
@@ -16,53 +16,55 @@ from std_msgs.msg import Header, String
 from fracture_collision.cdr import Heading
 from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.conversion import header_of, heading
-from fracture_collision.simulation.actors.arm import Arm, ArmKinematics, robot_description
-from fracture_collision.simulation.actors.arm_control import ArmControl
+from fracture_collision.simulation.actors.robot import JointStates, RobotPlan, Urdf, read_urdf
 
 WORLD = "world"
 
 
-class ArmPublisher:
-    """Publishes an arm of a node's scene. Without tf2_msgs (qos.py) there is no tf, which is logged."""
+class RobotPublisher:
+    """Publishes a robot of a node's scene. Without tf2_msgs (qos.py) there is no tf, which is logged."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._joints = self._open(qos.JOINT_STATES)
         self._tf = self._open(qos.TF) if qos.TFMessage is not None else None
         self._latched: list[Publisher] = []
-        self._kinematics: ArmKinematics | None = None
+        self._urdf: Urdf | None = None
         self._said: Heading | None = None  # of the last tf: listeners warn of a time that comes twice
 
-    def begin(self, arm: Arm | None) -> None:
-        """Starts a run with this arm, or without one."""
-        for publisher in self._latched:  # late joiners must receive this arm only
+    def begin(self, robot: RobotPlan | None) -> None:
+        """Starts a run with this robot, or without one."""
+        for publisher in self._latched:  # late joiners must receive this robot only
             self._node.destroy_publisher(publisher)
         self._latched, self._said = [], None
-        self._kinematics = None if arm is None else ArmKinematics(arm.position, arm.orientation)
-        if arm is None or self._kinematics is None:
+        self._urdf = None if robot is None else read_urdf(robot.urdf)
+        if robot is None or self._urdf is None:
             return
-        self._latch(qos.ROBOT_DESCRIPTION, String(data=robot_description()))
+        self._latch(qos.ROBOT_DESCRIPTION, String(data=robot.description()))
         if qos.TFMessage is None:
-            self._node.get_logger().warning("tf2_msgs is not installed: the arm's frames are not published on /tf")
+            self._node.get_logger().warning("tf2_msgs is not installed: the robot's frames are not published on /tf")
             return
-        foot = _transform(heading(0.0), WORLD, self._kinematics.links[0], arm.position, arm.orientation)
-        self._latch(qos.TF_STATIC, qos.TFMessage(transforms=[foot]))
+        base = _transform(heading(0.0), WORLD, self._urdf.root, robot.position, robot.orientation)
+        fixed = [
+            _transform(heading(0.0), joint.parent, joint.child, *joint.frame(0.0))
+            for joint in self._urdf.joints if joint.kind == "fixed"
+        ]  # fmt: skip
+        self._latch(qos.TF_STATIC, qos.TFMessage(transforms=[base, *fixed]))
 
-    def publish(self, control: ArmControl, head: Heading) -> None:
+    def publish(self, joints: JointStates, head: Heading) -> None:
         """Publishes the state of the joints and the frames of the links."""
         self._joints.publish(
             JointState(
-                header=Header(stamp=header_of(head).stamp), name=list(control.limits.names),
-                position=control.angles.tolist(), velocity=control.speeds.tolist(),
+                header=Header(stamp=header_of(head).stamp), name=list(joints.names),
+                position=joints.angles.tolist(), velocity=joints.speeds.tolist(), effort=joints.torques.tolist(),
             )  # fmt: skip
         )
-        if self._tf is None or self._kinematics is None or head == self._said:
+        if self._tf is None or self._urdf is None or head == self._said:
             return
         self._said = head
-        links = self._kinematics.links
-        places, turns = self._kinematics.transforms(control.angles)
-        joints = zip(links[:-1], links[1:], places, turns, strict=True)
-        self._tf.publish(qos.TFMessage(transforms=[_transform(head, *joint) for joint in joints]))
+        moving = zip(self._urdf.moving(), joints.angles.tolist(), strict=True)
+        frames = [_transform(head, joint.parent, joint.child, *joint.frame(angle)) for joint, angle in moving]
+        self._tf.publish(qos.TFMessage(transforms=frames))
 
     def _latch(self, topic: qos.Topic, message: object) -> None:
         publisher = self._open(topic)
