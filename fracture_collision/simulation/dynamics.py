@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from fracture_collision.portable_math import rotation_vectors
 from fracture_collision.simulation.actors.robot import Robot
 from fracture_collision.simulation.cast import Traits
 from fracture_collision.simulation.engine import (
@@ -27,9 +28,18 @@ from fracture_collision.simulation.engine import (
     free_velocities,
     mean_spins,
 )
+from fracture_collision.simulation.robot_contacts import RobotStep, robot_rows
+from fracture_collision.simulation.rotations import INVERSE, quaternion_products, rotation_matrices, turned
 from fracture_collision.simulation.solver import sleep
-from fracture_collision.simulation.solver.contact_solver import RigidBodies, Solution, SolverSettings, flight_drift
-from fracture_collision.simulation.solver.touch_ahead import StepContacts
+from fracture_collision.simulation.solver.contact_solver import (
+    BodyPairs,
+    RigidBodies,
+    Solution,
+    SolverSettings,
+    flight_drift,
+)
+from fracture_collision.simulation.solver.touch_ahead import Course, StepContacts, chosen_contacts
+from fracture_collision.simulation.solver.warm_start import WarmStart
 
 
 class Given(NamedTuple):
@@ -99,14 +109,20 @@ class SleepingWorld(RigidBodyWorld):
         self._gravity, self._settings = gravity, settings
         self._rest = sleep.NOBODY
         self._touched = np.zeros(0, np.uint32), np.zeros(0, np.uint32)  # pairs of the last step
+        self._robot: Robot | None = None
+        self._placed: FrameState | None = None  # where its bodies were put last
+
+    def carry(self, robot: Robot) -> None:
+        """As in Dynamics."""
+        self._robot = robot
 
     def links(self) -> Mapping[int, FrameState]:
         """As in Dynamics: none."""
         return {}
 
     def _never_at_rest(self, given: Given) -> np.ndarray:
-        """(n,) bool: bodies that do not sleep, nor what they touch."""
-        return np.zeros(len(given.states.masses), bool)
+        """(n,) bool: bodies that do not sleep, nor what they touch: a motor may move the robot at any time."""
+        return self._is_robot(given.states)
 
     def _settle(self, given: Given) -> None:
         """Wake and lull islands, by the contacts of a step."""
@@ -136,7 +152,11 @@ class SleepingWorld(RigidBodyWorld):
         free = free_velocities(velocities, states.inertias, self._gravity, spans)
         asleep = ByFragment(self._rest.fragment_ids, self._rest.asleep).of(ids)
         linear = np.where(asleep[:, None], velocities[:, :3], free[:, :3])
-        return states._replace(linear=linear, angular=mean_spins(velocities, free, states.inertias, spans))
+        angular = mean_spins(velocities, free, states.inertias, spans)
+        if self._robot is not None and (rows := self._robot_rows(states)).size:
+            # As it will move, if no contact changes that.
+            linear[rows], angular[rows] = np.hsplit(self._robot_moves(states, rows, self._robot.trial([])), 2)
+        return states._replace(linear=linear, angular=angular)
 
     def _rigid_bodies(
         self, states: BodyStates, pushes: np.ndarray, spans: np.ndarray, asleep: np.ndarray
@@ -144,6 +164,66 @@ class SleepingWorld(RigidBodyWorld):
         velocities = states.velocities() + pushes
         free = free_velocities(velocities, states.inertias, self._gravity, spans)
         return RigidBodies(states.masses, states.inertias, states.centers, velocities, free, spans, asleep)
+
+    def _robot_rows(self, states: BodyStates) -> np.ndarray:
+        """Rows (m,) of the robot's bodies; none before they have entered, all at once."""
+        if self._robot is None:
+            return np.zeros(0, np.int64)
+        rows = robot_rows(self._robot, states)
+        return rows[rows < len(states.masses)]
+
+    def _is_robot(self, states: BodyStates) -> np.ndarray:
+        """(n,) bool."""
+        found = np.zeros(len(states.masses), bool)
+        found[self._robot_rows(states)] = True
+        return found
+
+    def _follow_robot(self) -> None:
+        """Put the robot's bodies where the robot is."""
+        if self._robot is None:
+            return
+        states, frames = self.states(), self._robot.frames()
+        rows = self._robot_rows(states)
+        if not len(rows):
+            return
+        placed = self._placed
+        if placed is None or not all(map(np.array_equal, placed, frames)):
+            self.place(rows, frames)
+            self._placed = frames
+
+    def _robot_moves(self, states: BodyStates, rows: np.ndarray, after: FrameState) -> np.ndarray:
+        """Constant velocities (m, 6) [m/s, rad/s] that bring the robot's bodies to the frames `after` in a step."""
+        turns = quaternion_products(after.orientation, states.frame_orientations[rows] * INVERSE)
+        arms = states.centers[rows] - states.frame_positions[rows]
+        centers = after.position + turned(rotation_matrices(turns), arms)
+        return np.hstack((centers - states.centers[rows], rotation_vectors(turns))) / self._time_step
+
+    def _commit(self, step: RobotStep, warm_start: WarmStart) -> None:
+        """Move the robot as solved."""
+        assert self._robot is not None
+        self._robot.commit(step.pushes(warm_start.impulses))
+        self._placed = None  # not where the engine moved them
+        self._follow_robot()
+
+    def _beside_robot(
+        self, given: Given, step: RobotStep, warm_start: WarmStart, course: Course
+    ) -> tuple[Course, StepContacts]:
+        """The course with the robot's own moves, and the contacts by which bodies wait for each other: none beside it.
+
+        There nothing was searched along the course after a blow; but what waited, the robot would enter.
+        """
+        assert self._robot is not None
+        states, (now, pairs, *_), moves = given.states, given.contacts, course.moves.copy()
+        rows, beside = self._robot_rows(states), step.beside
+        moves[rows] = self._robot_moves(states, rows, self._robot.trial(step.pushes(warm_start.impulses)))
+        searched = course.searched
+        if searched is not None:
+            searched = np.where(beside[:-1, None], moves, searched)
+        waits = ~(beside[pairs.body_a] | beside[pairs.body_b])
+        each = np.repeat(waits, np.diff(now.pair_begin))
+        its = BodyPairs._make([*(column[waits] for column in pairs[:-1]), pairs.rest_gaps[each]])
+        contacts = given.contacts._replace(now=chosen_contacts(now, each, waits), pairs=its)
+        return course._replace(moves=moves, searched=searched), contacts
 
     def _flight(self, given: Given, bodies: RigidBodies, solution: Solution) -> np.ndarray:
         """flight_drift (n, 6) of what is awake and not pushed."""

@@ -10,14 +10,13 @@ from fracture_collision.simulation.scene.scene import (
     Scene,
     SceneError,
     known_engine,
-    require_engine_for_robot,
 )
 
 
 def dynamics_of(scene: Scene, looks_ahead: bool) -> Dynamics:
     """A scene's engine, without bodies. looks_ahead: see OwnDynamics.
 
-    MissingExtra if it is not installed, or a robot's; SceneError if it cannot have the scene's robot.
+    MissingExtra if it is not installed, or a robot's.
     """
     _require(scene)
     if scene.engine == MUJOCO:
@@ -41,8 +40,7 @@ def with_engine(scene: Scene, engine: str | None) -> Scene:
 
 
 def _require(scene: Scene) -> None:
-    """Raise MissingExtra or SceneError if the scene's engine is not there, or cannot have its robot."""
-    require_engine_for_robot(scene)
+    """Raise MissingExtra if the scene's engine is not there, or that of its robot."""
     if scene.robot is not None:
         need("bullet", "a scene with a robot")
     if scene.engine == MUJOCO:

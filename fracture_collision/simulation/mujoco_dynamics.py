@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -37,7 +38,6 @@ import mujoco  # noqa: E402
 
 from fracture_collision.portable_math import dots  # noqa: E402
 from fracture_collision.records import ContactConstraintArray  # noqa: E402
-from fracture_collision.simulation.actors.robot import Robot  # noqa: E402
 from fracture_collision.simulation.dynamics import Given, Moved, SleepingWorld, Solved  # noqa: E402
 from fracture_collision.simulation.engine import BodyStates, ByFragment, FrameState, Planned, free_velocities  # noqa: E402
 from fracture_collision.simulation.mujoco_model import (  # noqa: E402
@@ -47,6 +47,7 @@ from fracture_collision.simulation.mujoco_model import (  # noqa: E402
     read_spec,
     state_of,
 )
+from fracture_collision.simulation.robot_contacts import RobotStep, solve_with_robot  # noqa: E402
 from fracture_collision.simulation.rotations import (  # noqa: E402
     quaternion_products,
     rotation_matrices,
@@ -137,10 +138,10 @@ class _Step(NamedTuple):
     bodies: RigidBodies
     searched: np.ndarray | None  # (n, 6) velocities that the service looked ahead with; None: it does not
     contacts: _Contacts
-    is_applied: np.ndarray | None  # (N,) bool: contacts whose impulses materials limit; None: none
-    velocities: np.ndarray  # (n, 6) after it
-    drift: np.ndarray  # (n, 6) that corrects poses
+    is_limited: np.ndarray  # (of all contacts,) bool: impulses that materials limit
+    solution: Solution
     flight: np.ndarray  # (n, 6) drift of bodies in free flight
+    robot: RobotStep | None
 
 
 class _Rows(NamedTuple):
@@ -167,6 +168,7 @@ class MujocoDynamics(SleepingWorld):
         self._warm_start, self._accelerations = NO_WARM_START, ByFragment(np.zeros(0, np.uint32), np.zeros((0, 6)))
         self._axes = _Axes(np.zeros(0, np.uint32), np.zeros((0, 3)), np.zeros((0, 4)))
         self._step: _Step | None = None
+        self._contacts: _Contacts  # of the last solve
         self._spec = mujoco.MjSpec() if model is None else read_spec(model)
         self._spec.memory = ARENA
         self._spec.option.timestep, self._spec.option.gravity = time_step, gravity
@@ -189,10 +191,6 @@ class MujocoDynamics(SleepingWorld):
         other._place_links()
         return other
 
-    def carry(self, robot: Robot) -> None:
-        """As in Dynamics: it has none."""
-        raise ValueError("the engine mujoco has no robots of URDF files")
-
     def begin(self, planned: Planned | None) -> BodyStates:
         """As in Dynamics."""
         return self._to_search(self.states(), planned)
@@ -205,13 +203,31 @@ class MujocoDynamics(SleepingWorld):
         states, n, (now, pairs, *_) = given.states, len(given.states.masses), given.contacts
         searched = self._to_search(states, given.planned).velocities() if self._looks_ahead else None
         self._settle(given)
-        asleep, strengths = self._rest.asleep, given.traits.strengths
-        bodies = self._rigid_bodies(states, given.pushes, np.full(n, self._time_step), asleep)
-        contacts = _contacts_of(now, pairs, asleep, self._geoms_of)
+        bodies = self._rigid_bodies(states, given.pushes, np.full(n, self._time_step), self._rest.asleep)
+        solve = partial(self._solve_with_strengths, states=states, strengths=given.traits.strengths)
+        with_robot = None
+        if self._robot is None:
+            solution, overloaded, limits = solve(bodies, now, pairs, self._warm_start)
+        else:
+            rows = self._robot_rows(states)
+            with_robot = solve_with_robot(self._robot, bodies, now, pairs, self._warm_start, solve, rows)
+            bodies, solution, overloaded, limits = (
+                with_robot.bodies, with_robot.solution, with_robot.overloaded, with_robot.limits
+            )  # fmt: skip
+        self._warm_start = solution.warm_start
+        flight = self._flight(given, bodies, solution)
+        self._step = _Step(given, bodies, searched, self._contacts, limits < np.inf, solution, flight, with_robot)
+        return Solved(solution.normal_impulses, overloaded, solution.velocities - bodies.free_velocities)
+
+    def _solve_with_strengths(
+        self, bodies: RigidBodies, now: ContactConstraintArray, pairs: BodyPairs, warm_start: WarmStart,
+        states: BodyStates, strengths: np.ndarray,
+    ) -> tuple[Solution, np.ndarray, np.ndarray]:  # fmt: skip
+        """As the contact solver's."""
+        n, limits = len(bodies.masses), np.full(len(now.gaps), np.inf)
+        contacts = self._contacts = _contacts_of(now, pairs, bodies.asleep, self._geoms_of)
         begin = now.pair_begin.astype(np.int64)
-        impulses, rolling = carried_impulses(
-            now.fragment_a, now.fragment_b, begin, now.contact_ids, self._warm_start
-        )
+        impulses, rolling = carried_impulses(now.fragment_a, now.fragment_b, begin, now.contact_ids, warm_start)
         at = contacts.rows
         self._put_bodies(states, bodies)
         velocities, drift, local = self._velocities(contacts, impulses[at], bodies)
@@ -219,47 +235,54 @@ class MujocoDynamics(SleepingWorld):
         normal, pressing = np.zeros((2, len(now.gaps)))
         normal[at] = local[:, 0]
         loads = sums_of_bodies(normal, begin, pairs.body_a, pairs.body_b, n)
-        overloaded, is_applied = np.flatnonzero(loads > strengths), None
+        overloaded = np.flatnonzero(loads > strengths)
         if len(overloaded):
             share = np.ones(n + 1)
             share[overloaded] = strengths[overloaded] / loads[overloaded]
             share = np.minimum(share[contacts.body_a], share[contacts.body_b])
             after, is_applied = share[:, None] * after, share < 1.0
+            limits[at] = np.where(is_applied, share * local[:, 0], np.inf)
             capped, _, _ = self._velocities(contacts, after, bodies, is_applied, True)
             # as in solve_with_strengths: in this step poses move as if the fragments that break held
             velocities, drift = capped, drift + velocities - capped
         impulses[at] = after
         is_blow = np.einsum("nj,nj->n", contacts.frames[:, 0], _speeds(contacts, bodies)) < -contacts.bounce_speeds
         pressing[at] = np.where(is_blow & (contacts.restitution > 0.0), 0.0, local[:, 0])
-        self._warm_start = WarmStart(now.fragment_a, now.fragment_b, begin, now.contact_ids, impulses, rolling)
-        solution = Solution(velocities, drift, normal, pressing, self._warm_start)
-        flight = self._flight(given, bodies, solution)
-        self._step = _Step(given, bodies, searched, contacts, is_applied, velocities, drift, flight)
-        return Solved(normal, overloaded, velocities - bodies.free_velocities)
+        carried = WarmStart(now.fragment_a, now.fragment_b, begin, now.contact_ids, impulses, rolling)
+        return Solution(velocities, drift, normal, pressing, carried), overloaded, limits
 
     def move(self) -> Moved:
         """As in Dynamics: drift correction adds energy where it lifts bodies."""
         assert self._step is not None
         step, self._step = self._step, None
-        given, v = step.given, step.velocities
-        moves = v + step.drift + step.flight
+        given, solution, v = step.given, step.solution, step.solution.velocities
+        moves, drifting = v + solution.drift + step.flight, solution.drift
         falls = (step.bodies.free_velocities - step.bodies.velocities)[:, :3]
-        course = Course(moves, step.searched, falls, np.zeros(len(v), bool))
-        shares = shares_of_step(
-            given.states, given.contacts, course, given.traits.forms, self._settings, self._time_step
-        )
+        course, contacts = Course(moves, step.searched, falls, np.zeros(len(v), bool)), given.contacts
+        if step.robot is not None:
+            course, contacts = self._beside_robot(given, step.robot, solution.warm_start, course)
+            moves = course.moves
+        shares = shares_of_step(given.states, contacts, course, given.traits.forms, self._settings, self._time_step)
+        if step.robot is not None:
+            shares[step.robot.beside[:-1]] = 1.0
         if (shares < 1.0).any():
             v = self._until(step, shares * self._time_step)
             touched = np.zeros(len(v) + 1, bool)
             touched[step.contacts.body_a] = touched[step.contacts.body_b] = True
             # or the course would not have the momentum
-            moves += np.where(touched[:-1, None], v - step.velocities, 0.0)
+            moves += np.where(touched[:-1, None], v - solution.velocities, 0.0)
         drift = shares[:, None] * moves - v
         self._move_model()
         self.advance(v[:, :3], v[:, 3:], drift[:, :3], drift[:, 3:])
+        work = self._work_of_links(step, v)
+        if step.robot is not None:
+            is_robot = self._is_robot(given.states)
+            work += step.robot.work(is_robot, solution._replace(velocities=v))
+            self._commit(step.robot, solution.warm_start)
+            drifting = np.where(is_robot[:, None], 0.0, drifting)
         self._rest_after(given, v + drift)
-        lifts = shares * self._time_step * dots(step.drift[:, :3], self._gravity)
-        return Moved(-float((given.states.masses * lifts).sum()), self._work_of_links(step, v))
+        lifts = shares * self._time_step * dots(drifting[:, :3], self._gravity)
+        return Moved(-float((given.states.masses * lifts).sum()), work)
 
     def _work_of_links(self, step: _Step, after: np.ndarray) -> float:
         """Energy [J] that the model's links add to the bodies, but by rolling resistance; after: (n, 6) velocities."""
@@ -290,15 +313,18 @@ class MujocoDynamics(SleepingWorld):
         """Velocities (n, 6) with gravity for the times `spans` (n,) [s] only: what waits gains no energy by it."""
         states, bodies = step.given.states, step.bodies
         free = free_velocities(bodies.velocities, states.inertias, self._gravity, spans)
+        rows = self._robot_rows(states)
+        free[rows] = bodies.free_velocities[rows]
         bodies = bodies._replace(free_velocities=free, spans=spans)
         self._put_bodies(states, bodies)
         impulses, poses = self._warm_start.impulses, self._poses
         rows = step.contacts.rows
-        velocities, _, local = self._velocities(step.contacts, impulses[rows], bodies, step.is_applied, True)
+        is_applied = step.is_limited[rows]
+        velocities, _, local = self._velocities(
+            step.contacts, impulses[rows], bodies, is_applied if is_applied.any() else None, True
+        )
         found = np.einsum("nk,nkj->nj", local, step.contacts.frames)
-        impulses[rows] = found if step.is_applied is None else np.where(
-            step.is_applied[:, None], impulses[rows], found
-        )  # fmt: skip
+        impulses[rows] = np.where(is_applied[:, None], impulses[rows], found)
         self._poses = poses
         return velocities
 
@@ -369,7 +395,9 @@ class MujocoDynamics(SleepingWorld):
         if not np.array_equal(self._in_slots, ids):
             self._put_masses(states)
         slots, moments = self._slots, self._axes.moments
-        slots.qpos[:n, :3] = states.centers
+        if self._robot is not None:
+            moments = self._put_links(states, bodies)
+        slots.qpos[:n, :3] = bodies.centers
         turns = quaternion_products(states.frame_orientations, self._axes.turns)
         slots.qpos[:n, 3:] = turns[:, [3, 0, 1, 2]]
         back = rotation_matrices(turns).transpose(0, 2, 1).copy()
@@ -378,9 +406,25 @@ class MujocoDynamics(SleepingWorld):
         slots.qvel[:n, 3:] = spins
         slots.applied[:] = 0.0
         # what moves for less than a step falls for no longer
-        slots.applied[:n, :3] = (states.masses * (bodies.spans / h - 1.0))[:, None] * self._gravity
+        falls = bodies.free_velocities[:, :3] - bodies.velocities[:, :3]
+        slots.applied[:n, :3] = bodies.masses[:, None] * (falls / h - self._gravity)
         slots.applied[:n, 3:] = moments * (later - spins) / h + np.cross(spins, moments * spins)
         slots.warm[:n] = self._accelerations.of(ids)
+
+    def _put_links(self, states: BodyStates, bodies: RigidBodies) -> np.ndarray:
+        """Write the masses that a robot's bodies have in this step; returns the moments of inertia of all (n, 3)."""
+        rows, moments, model = self._robot_rows(states), self._axes.moments.copy(), self._model
+        touched = rows[bodies.masses[rows] != states.masses[rows]]
+        moments[touched] = bodies.inertias[touched, 0, :1]
+        masses = bodies.masses[rows]
+        inverse = np.column_stack((1.0 / masses, (1.0 / moments[rows]).mean(axis=1)))
+        model.body_mass[self._bodies_at + rows] = model.body_subtreemass[self._bodies_at + rows] = masses
+        model.body_inertia[self._bodies_at + rows] = moments[rows]
+        model.body_invweight0[self._bodies_at + rows] = inverse
+        dofs = self._dofs_at + 6 * rows[:, None] + np.arange(6)
+        model.dof_invweight0[dofs] = np.repeat(inverse, 3, axis=1)
+        model.dof_M0[dofs] = np.hstack((np.tile(masses[:, None], 3), moments[rows]))
+        return moments
 
     def _geoms_of(self, fragments: np.ndarray) -> np.ndarray:
         """Geoms (p,) of the model's links among the fragments (p,), of all others the world's."""
@@ -391,7 +435,7 @@ class MujocoDynamics(SleepingWorld):
 
     def _never_at_rest(self, given: Given) -> np.ndarray:
         """As in SleepingWorld: the model would not feel what sleeps on it."""
-        touch, (now, pairs, *_) = np.zeros(len(given.states.masses) + 1, bool), given.contacts
+        touch, (now, pairs, *_) = np.append(super()._never_at_rest(given), False), given.contacts
         for fragments, others in ((now.fragment_a, pairs.body_b), (now.fragment_b, pairs.body_a)):
             touch[others[np.isin(fragments, list(self._links))]] = True
         return touch[:-1]

@@ -7,13 +7,13 @@ engine of its own (`robot_contacts`); its bodies are rows like others, which it 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from fracture_collision.portable_math import dots, rotation_vectors
+from fracture_collision.portable_math import dots
 from fracture_collision.records import ContactConstraintArray
-from fracture_collision.simulation.actors.robot import Robot
 from fracture_collision.simulation.catching_up import (
     MOST_LOST,
     NOTHING,
@@ -25,14 +25,8 @@ from fracture_collision.simulation.catching_up import (
     extra_times,
 )
 from fracture_collision.simulation.dynamics import Given, Moved, SleepingWorld, Solved
-from fracture_collision.simulation.engine import BodyStates, ByFragment, FrameState, Planned, free_velocities
-from fracture_collision.simulation.robot_contacts import RobotStep, robot_rows, solve_with_robot
-from fracture_collision.simulation.rotations import (
-    INVERSE,
-    quaternion_products,
-    rotation_matrices,
-    turned,
-)
+from fracture_collision.simulation.engine import BodyStates, ByFragment, Planned, free_velocities
+from fracture_collision.simulation.robot_contacts import RobotStep, solve_with_robot
 from fracture_collision.simulation.solver.contact_solver import (
     Again,
     BodyPairs,
@@ -42,7 +36,7 @@ from fracture_collision.simulation.solver.contact_solver import (
     solve_contacts,
     solve_with_strengths,
 )
-from fracture_collision.simulation.solver.touch_ahead import Course, StepContacts, chosen_contacts, shares_of_step
+from fracture_collision.simulation.solver.touch_ahead import Course, shares_of_step
 from fracture_collision.simulation.solver.warm_start import NO_WARM_START
 
 # [kg], [kg m2] of a robot that no contact moves.
@@ -81,12 +75,6 @@ class OwnDynamics(SleepingWorld):
         self._lost = NOTHING.extra  # (n,) [s] that bodies are behind
         self._expected = NOTHING  # of this step
         self._carried: Touching | None = None  # to this step, from the last one that had to be made up for
-        self._robot: Robot | None = None
-        self._placed: FrameState | None = None  # where its bodies were put last
-
-    def carry(self, robot: Robot) -> None:
-        """As in Dynamics."""
-        self._robot = robot
 
     def begin(self, planned: Planned | None) -> BodyStates:
         """As in Dynamics."""
@@ -110,16 +98,14 @@ class OwnDynamics(SleepingWorld):
             searched = self._searched[1].velocities()
         self._settle(given)
         bodies = self._rigid_bodies(states, given.pushes, self._spans(states), self._rest.asleep)
+        solve = partial(solve_with_strengths, settings=settings, strengths=given.traits.strengths)
         with_robot = None
         if self._robot is None:
-            solution, overloaded, limits = solve_with_strengths(
-                bodies, contacts, pairs, self._warm_start, settings, given.traits.strengths
-            )
+            solution, overloaded, limits = solve(bodies, contacts, pairs, self._warm_start)
         else:
             with_robot = solve_with_robot(
-                self._robot, bodies, contacts, pairs, self._warm_start, settings, given.traits.strengths,
-                self._robot_rows(states),
-            )  # fmt: skip
+                self._robot, bodies, contacts, pairs, self._warm_start, solve, self._robot_rows(states)
+            )
             bodies, contacts, pairs, *_ = with_robot
             solution, overloaded, limits = with_robot.solution, with_robot.overloaded, with_robot.limits
         flight = self._flight(given, bodies, solution)
@@ -139,7 +125,7 @@ class OwnDynamics(SleepingWorld):
         is_expected = self._expected.velocities.have(states.fragment_ids)
         course, contacts = Course(moves, searched, falls, is_expected), given.contacts
         if step.robot is not None:
-            course, contacts = self._beside_robot(step, course)
+            course, contacts = self._beside_robot(given, step.robot, solution.warm_start, course)
             moves = course.moves
         self.shares = shares_of_step(states, contacts, course, forms, settings, time_step)
         if step.robot is not None:
@@ -153,9 +139,7 @@ class OwnDynamics(SleepingWorld):
         work = 0.0
         if self._robot is not None and step.robot is not None:
             work = step.robot.work(self._is_robot(states), solution)
-            self._robot.commit(step.robot.pushes(solution.warm_start.impulses))
-            self._placed = None  # not where the engine moved them
-            self._follow_robot()
+            self._commit(step.robot, solution.warm_start)
             drifting = np.where(self._is_robot(states)[:, None], 0.0, drifting)
         self._rest_after(given, v + drift)
         if self._looks_ahead:
@@ -214,51 +198,11 @@ class OwnDynamics(SleepingWorld):
             moves, is_known = known.of(ids), known.have(ids)[:, None]
             linear, angular = np.where(is_known, moves[:, :3], linear), np.where(is_known, moves[:, 3:], angular)
         rates = (spans / self._time_step)[:, None]
-        if self._robot is not None and (rows := self._robot_rows(states)).size:
-            # As it will move, if no contact changes that.
-            linear[rows], angular[rows] = np.hsplit(self._robot_moves(states, rows, self._robot.trial([])), 2)
         return states._replace(linear=rates * linear, angular=rates * angular)
 
     def _spans(self, states: BodyStates) -> np.ndarray:
         """(n,) [s] for which bodies move in this step, if nothing holds them back."""
         return self._time_step + self._expected.extra.of(states.fragment_ids)
-
-    def _robot_rows(self, states: BodyStates) -> np.ndarray:
-        """Rows (m,) of the robot's bodies; none before they have entered, all at once."""
-        if self._robot is None:
-            return np.zeros(0, np.int64)
-        rows = robot_rows(self._robot, states)
-        return rows[rows < len(states.masses)]
-
-    def _is_robot(self, states: BodyStates) -> np.ndarray:
-        """(n,) bool."""
-        found = np.zeros(len(states.masses), bool)
-        found[self._robot_rows(states)] = True
-        return found
-
-    def _never_at_rest(self, given: Given) -> np.ndarray:
-        """As in SleepingWorld: a motor may move the robot at any time."""
-        return self._is_robot(given.states)
-
-    def _follow_robot(self) -> None:
-        """Put the robot's bodies where the robot is."""
-        if self._robot is None:
-            return
-        states, frames = self.states(), self._robot.frames()
-        rows = self._robot_rows(states)
-        if not len(rows):
-            return
-        placed = self._placed
-        if placed is None or not all(map(np.array_equal, placed, frames)):
-            self.place(rows, frames)
-            self._placed = frames
-
-    def _robot_moves(self, states: BodyStates, rows: np.ndarray, after: FrameState) -> np.ndarray:
-        """Constant velocities (m, 6) [m/s, rad/s] that bring the robot's bodies to the frames `after` in a step."""
-        turns = quaternion_products(after.orientation, states.frame_orientations[rows] * INVERSE)
-        arms = states.centers[rows] - states.frame_positions[rows]
-        centers = after.position + turned(rotation_matrices(turns), arms)
-        return np.hstack((centers - states.centers[rows], rotation_vectors(turns))) / self._time_step
 
     def _with_steady_robot(self, states: BodyStates, bodies: RigidBodies) -> RigidBodies:
         """`bodies` with a robot that no contact changes: an estimate for a search."""
@@ -266,22 +210,3 @@ class OwnDynamics(SleepingWorld):
         masses, inertias, free = bodies.masses.copy(), bodies.inertias.copy(), bodies.free_velocities.copy()
         masses[rows], inertias[rows], free[rows] = STEADY, STEADY * np.eye(3), bodies.velocities[rows]
         return bodies._replace(masses=masses, inertias=inertias, free_velocities=free)
-
-    def _beside_robot(self, step: _Step, course: Course) -> tuple[Course, StepContacts]:
-        """The course with the robot's own moves, and the contacts by which bodies wait for each other: none beside it.
-
-        There nothing was searched along the course after a blow; but what waited, the robot would enter.
-        """
-        assert self._robot is not None and step.robot is not None
-        states, (now, pairs, *_), moves = step.given.states, step.given.contacts, course.moves.copy()
-        rows, beside = self._robot_rows(states), step.robot.beside
-        pushes = step.robot.pushes(step.solution.warm_start.impulses)
-        moves[rows] = self._robot_moves(states, rows, self._robot.trial(pushes))
-        searched = course.searched
-        if searched is not None:
-            searched = np.where(beside[:-1, None], moves, searched)
-        waits = ~(beside[pairs.body_a] | beside[pairs.body_b])
-        each = np.repeat(waits, np.diff(now.pair_begin))
-        its = BodyPairs._make([*(column[waits] for column in pairs[:-1]), pairs.rest_gaps[each]])
-        contacts = step.given.contacts._replace(now=chosen_contacts(now, each, waits), pairs=its)
-        return course._replace(moves=moves, searched=searched), contacts

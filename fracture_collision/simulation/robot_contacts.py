@@ -8,13 +8,12 @@ the robot measure
     G       mobility: the change of n . v_p per impulse along n at p (NUDGE) [1/kg]
     v*      v_p after the step with the impulses J known so far, less G J: what it is without contacts
 
-and the link is a row with the mass 1 / G at p, the free velocity v*, and the spin of the link, which contacts do not
-change. The solved impulses replace J. This is repeated until the impulse on no link changes by more than SAME of it:
-at once where the robot is linear and J is that of the last step (`warm_start`), and in a blow after some passes, as
-motors saturate.
+and the link is a row with the mass 1 / G at p, the free velocity v*, and the spin that the link has with J. The solved
+impulses replace J. This is repeated until the impulse on no link changes by more than SAME of it: at once where the
+robot is linear and J is that of the last step (`warm_start`), and in a blow after some passes, as motors saturate.
 
 What a robot does is not only its links' own: where two are touched at once, one learns of the other's contacts by the
-passes alone. The row does not turn, so a torque about p is borne, but changes nothing.
+passes alone; so it is with torques about p, by which a pass turns the row as if it were large (GYRATION).
 
 A robot waits for no touch within a step, as bodies do (`touch_ahead`), and it would enter bodies that wait. So whatever
 contacts connect with it does not wait either (`beside_robot`). There, contacts that lie ahead are solved with the
@@ -23,7 +22,7 @@ others: a slow one may close within the step, no further; a blow comes at once, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,8 +37,6 @@ from fracture_collision.simulation.solver.contact_solver import (
     BodyPairs,
     RigidBodies,
     Solution,
-    SolverSettings,
-    solve_with_strengths,
     work_of_impulses,
 )
 from fracture_collision.simulation.solver.warm_start import WarmStart, carried_impulses
@@ -49,10 +46,17 @@ NUDGE = 0.01  # [N s]
 SAME, PASSES = 1.0e-3, 4
 # [N s] Impulses on a link that are as small as this are not repeated for.
 NEGLIGIBLE = 1.0e-6
-LEAST_MOBILITY = 1.0e-9  # [1/kg] of a link that is as good as fixed
-UNTURNED = 1.0e9  # [kg m2] inertia of a row that does not turn
+LEAST_MOBILITY = 1.0e-5  # [1/kg] of a link that is as good as fixed; MuJoCo does not converge with far less
+# [m] Radius of gyration of a row: it hardly turns, and MuJoCo still converges (with 10 m it does not).
+GYRATION = 1.0
 # Below this share of the sum of their lengths, the sum of normals is no direction.
 OPPOSED = 0.1
+
+
+# As solve_with_strengths, of one engine.
+Solve = Callable[
+    [RigidBodies, ContactConstraintArray, BodyPairs, WarmStart], tuple[Solution, np.ndarray, np.ndarray]
+]
 
 
 class Touched(NamedTuple):
@@ -120,9 +124,9 @@ def beside_robot(
 
 def solve_with_robot(
     robot: Robot, bodies: RigidBodies, contacts: ContactConstraintArray, pairs: BodyPairs, warm_start: WarmStart,
-    settings: SolverSettings, strengths: np.ndarray, rows: np.ndarray,
+    solve: Solve, rows: np.ndarray,
 ) -> RobotStep:  # fmt: skip
-    """As solve_with_strengths, and the robot's part. rows (m,): of the robot's bodies, all in `bodies`.
+    """Contacts solved by `solve`, with the robot's part. rows (m,): of the robot's bodies, all in `bodies`.
 
     No contacts between two bodies of the robot, or with what cannot move.
     """
@@ -142,7 +146,7 @@ def solve_with_robot(
     passes = 0
     while True:
         bodies = _measured(robot, bodies, frames, touched, points, impulses)
-        solution, overloaded, limits = solve_with_strengths(bodies, contacts, pairs, start, settings, strengths)
+        solution, overloaded, limits = solve(bodies, contacts, pairs, start)
         before, start = impulses, solution.warm_start
         impulses, passes = start.impulses, passes + 1
         if passes == PASSES or _is_settled(touched, before, impulses):
@@ -193,10 +197,11 @@ def _measured(
         more = robot.trial([*pushes, Push(link, NUDGE * normal, center)])
         v, v_more = (_velocity(motion, frames, i, center) for motion in (after, more))
         mobility = max(float(dots(normal, v_more[:3] - v[:3])) / NUDGE, LEAST_MOBILITY)
-        total = (signs[:, None] * impulses[its]).sum(axis=0)
-        masses[row], inertias[row], centers[row] = 1.0 / mobility, UNTURNED * np.eye(3), center
+        known, inertia = signs[:, None] * impulses[its], GYRATION**2 / mobility
+        masses[row], inertias[row], centers[row] = 1.0 / mobility, inertia * np.eye(3), center
         velocities[row] = _velocity(frames, frames, i, center)
-        free[row] = np.append(v[:3] - mobility * total, v[3:])
+        torque = crossed(points[its] - center, known).sum(axis=0)
+        free[row] = v - np.append(mobility * known.sum(axis=0), torque / inertia)
     return bodies._replace(
         masses=masses, inertias=inertias, centers=centers, velocities=velocities, free_velocities=free
     )

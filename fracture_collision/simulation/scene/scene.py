@@ -194,7 +194,6 @@ def parse_scene(content: Any, name: str, variant: str = "", folder: Path | None 
         **machines,
     )
     root.finish()
-    require_engine_for_robot(scene)
     if scene.duration > MAX_STEPS * scene.time_step:
         raise SceneError(f"duration: {scene.duration} s are more than {MAX_STEPS} steps of {scene.time_step} s")
     return scene
@@ -227,12 +226,6 @@ def known_engine(name: str) -> str:
     if name not in ENGINES:
         raise SceneError(f"engine: {quoted(name)} is none of {', '.join(ENGINES)}{did_you_mean(name, ENGINES)}")
     return name
-
-
-def require_engine_for_robot(scene: Scene) -> None:
-    """Raise SceneError if the scene has a robot, and an engine that cannot have one."""
-    if scene.robot is not None and scene.engine != OWN:
-        raise SceneError(f"engine: {scene.engine} has no robots: a scene with a robot needs the engine {OWN}")
 
 
 def _find(name: str) -> tuple[Path, str]:
