@@ -14,6 +14,7 @@ import rclpy
 from fracture_collision.msg import CollisionBody, ContactConstraintArray, FragmentRegistry, FragmentStates
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from scipy.spatial.transform import Rotation
 
 from fracture_collision import records
 from fracture_collision.ros.wire.conversion import heading, to_message, to_record
@@ -26,124 +27,100 @@ SLOP, SHARE, FASTEST = 1e-4, 0.2, 0.3  # [m] not corrected; share of the rest co
 BOUNCES = 0.2  # [m/s] slower blows do not bounce
 
 
-def cross(r):
-    """The matrix of r x."""
-    return np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
+class Bodies:
+    """The n bodies in motion. Velocities u (n, 6): of the frame until the masses are known, then of the centre."""
+
+    def __init__(self, scene):
+        moving = [(number, body) for number, body in enumerate(scene.bodies, 1) if not body.is_static]
+        self.ids = [number for number, _ in moving]
+        self.origins = self.x = np.array([body.position for _, body in moving])
+        self.turns = Rotation.from_quat([body.orientation for _, body in moving])
+        self.u = np.array([np.append(body.linear_velocity, body.angular_velocity) for _, body in moving])
+
+    def take_masses(self, registry):
+        """From the first registry."""
+        rows = [list(registry.fragment_ids).index(number) for number in self.ids]
+        self.masses, self.centers = registry.masses[rows], registry.centers_of_mass[rows]
+        self.inertias = registry.inertias[rows][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)  # body axes
+        self.x = self.origins + self.turns.apply(self.centers)
+        self.u[:, :3] += np.cross(self.u[:, 3:], self.x - self.origins)
+
+    def fly(self, gravity, h):
+        """Gravity, and the gyroscopic torque by the implicit midpoint rule."""
+        self.u[:, :3] += h * gravity
+        before = after = self.turns.inv().apply(self.u[:, 3:])
+        for _ in range(40):
+            mean = 0.5 * (before + after)
+            torque = np.cross(np.einsum("nij,nj->ni", self.inertias, mean), mean)
+            after = before + h * np.linalg.solve(self.inertias, torque[..., None])[..., 0]
+        self.gyroscopic, self.u[:, 3:] = after - before, self.turns.apply(after)
+
+    def move(self, poses, h):
+        """Move by the velocities `poses` (n, 6); spins turn with the bodies."""
+        mean, kept = (self.turns.inv().apply(u[:, 3:]) for u in (poses, self.u))
+        self.x, self.turns = (
+            self.x + h * poses[:, :3], self.turns * Rotation.from_rotvec(h * (mean - 0.5 * self.gyroscopic))
+        )  # fmt: skip
+        self.u[:, 3:], self.origins = self.turns.apply(kept), self.x - self.turns.apply(self.centers)
+
+    def states(self, step, body_sequence):
+        """What the service is asked about."""
+        linear = self.u[:, :3] + np.cross(self.u[:, 3:], self.origins - self.x)
+        return records.FragmentStates(
+            step, 0, self.ids, self.origins, self.turns.as_quat(), linear, self.u[:, 3:], body_sequence
+        )
 
 
-def turned(q, spin, time_step):
-    """The quaternion x y z w after a turn by `spin` [rad/s], body axes."""
-    angle = time_step * np.linalg.norm(spin)
-    v = 0.5 * time_step * spin * np.sinc(0.5 * angle / np.pi)  # sin(angle / 2) along the spin
-    s, p, w = np.cos(0.5 * angle), q[:3], q[3]
-    q = np.append(w * v + s * p + np.cross(p, v), w * s - p @ v)
-    return q / np.linalg.norm(q)
-
-
-class Body:
-    """A body in motion."""
-
-    def __init__(self, number, start):
-        self.id, self.origin, self.q = number, start.position, start.orientation
-        self.u = np.append(start.linear_velocity, start.angular_velocity)  # of the frame, until the mass is known
-
-    def rotation(self):
-        """The matrix from the body frame to the world."""
-        x, y, z, s = self.q
-        return np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - s * z), 2 * (x * z + s * y)],
-            [2 * (x * y + s * z), 1 - 2 * (x * x + z * z), 2 * (y * z - s * x)],
-            [2 * (x * z - s * y), 2 * (y * z + s * x), 1 - 2 * (x * x + y * y)],
-        ])  # fmt: skip
-
-    def take_mass(self, registry):
-        """Take mass, centre of mass and inertia from the first registry."""
-        row = list(registry.fragment_ids).index(self.id)
-        self.mass, self.center = registry.masses[row], registry.centers_of_mass[row]
-        xx, xy, xz, yy, yz, zz = registry.inertias[row]
-        self.inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        arm = self.rotation() @ self.center
-        self.x = self.origin + arm  # centre of mass
-        self.u[:3] += np.cross(self.u[3:], arm)
-
-    def fly(self, gravity, time_step):
-        """Gravity, and the gyroscopic torque by the implicit midpoint rule, body axes."""
-        self.u[:3] += time_step * gravity
-        before = self.rotation().T @ self.u[3:]
-        after, inertia = before, self.inertia
-        for _ in range(8):  # Newton
-            m = 0.5 * (before + after)
-            off = inertia @ (after - before) + time_step * np.cross(m, inertia @ m)
-            slope = inertia + 0.5 * time_step * (cross(m) @ inertia - cross(inertia @ m))
-            after = after - np.linalg.solve(slope, off)
-        self.gyroscopic = after - before
-        self.u[3:] = self.rotation() @ after
-
-    def move(self, poses, time_step):
-        """Move by the velocities `poses` (6,); the spin turns with the body."""
-        spin, kept = self.rotation().T @ poses[3:] - 0.5 * self.gyroscopic, self.rotation().T @ self.u[3:]
-        self.x, self.q = self.x + time_step * poses[:3], turned(self.q, spin, time_step)
-        self.u[3:], self.origin = self.rotation() @ kept, self.x - self.rotation() @ self.center
-
-    def origin_velocity(self):
-        """[m/s] of the body frame's origin, as states have it."""
-        return self.u[:3] + np.cross(self.u[3:], self.origin - getattr(self, "x", self.origin))
-
-
-def relax(rows, u, least, p):
-    """Change velocities u (n, 6) and impulses p (N, 3) [N s] until normal velocities are at least `least` (N,)."""
-    for (sides, *_), impulse in zip(rows, p, strict=True):
-        for i, _, moved in sides:
-            u[i] += moved @ impulse
+def relax(matrix, v, normals, friction, least, p):
+    """Change impulses p (3N,) [N s] until normal velocities are at least `least` (N,), with v (3N,) [m/s] without p."""
+    blocks = [slice(3 * k, 3 * k + 3) for k in range(len(normals))]
+    stiffest, v = [np.linalg.norm(matrix[at, at], 2) for at in blocks], v + matrix @ p
     for _ in range(ITERATIONS):
         largest = 0.0
-        for k, (sides, n, mobility, stiffest, mu) in enumerate(rows):
-            speed = sum(to @ u[i] for i, to, _ in sides)
-            old, un = p[k], speed @ n
-            normal = max(old @ n + (least[k] - un) / (n @ mobility @ n), 0.0)
-            tangent = old - (old @ n) * n - (speed - un * n) / stiffest
-            size = np.sqrt(tangent @ tangent)
-            if size > mu * normal:
-                tangent = tangent * (mu * normal / size)
-            p[k] = normal * n + tangent
-            for i, _, moved in sides:
-                change = moved @ (p[k] - old)
-                u[i] += change
-                largest = max(largest, np.abs(change).max())
+        for k, (at, n) in enumerate(zip(blocks, normals, strict=True)):
+            old, speed = p[at].copy(), n @ v[at]
+            normal = max(n @ old + (least[k] - speed) / (n @ matrix[at, at] @ n), 0.0)
+            tangent = old - (n @ old) * n - (v[at] - speed * n) / stiffest[k]
+            size = np.linalg.norm(tangent)
+            p[at] = normal * n + tangent * min(1.0, friction[k] * normal / max(size, 1e-300))
+            change = matrix[:, at] @ (p[at] - old)
+            v, largest = v + change, max(largest, np.abs(change).max())
         if largest < ACCURACY:
             break
+    return p
 
 
 def solve(contacts, bodies, remembered, h):
     """Velocities of bodies after the step; returns impulses by contact id, and velocities (n, 6) that move poses."""
-    at = {body.id: i for i, body in enumerate(bodies)}
-    u = np.array([body.u for body in bodies])
-    inverses = [np.linalg.inv(b.rotation() @ b.inertia @ b.rotation().T) for b in bodies]
-    counts = np.diff(contacts.pair_begin.astype(int))
+    counts, n, gaps, normals = np.diff(contacts.pair_begin), len(bodies.ids), contacts.gaps, contacts.normals
     columns = (contacts.fragment_a, contacts.fragment_b, contacts.friction, contacts.restitution)
-    a_of, b_of, friction, restitution = (np.repeat(column, counts) for column in columns)
-    rows, least, corrected, p = [], [], [], []
-    for k, (n, g) in enumerate(zip(contacts.normals, contacts.gaps, strict=True)):
-        point, sides = 0.5 * (contacts.points_a[k] + contacts.points_b[k]), []
-        for fragment, sign in ((a_of[k], -1.0), (b_of[k], 1.0)):
-            if (i := at.get(int(fragment))) is not None:
-                to = sign * np.hstack((np.eye(3), -cross(point - bodies[i].x)))  # u to the velocity there
-                moved = np.vstack((to[:, :3].T / bodies[i].mass, inverses[i] @ to[:, 3:].T))
-                sides.append((i, to, moved))
-        mobility = sum(to @ moved for _, to, moved in sides)
-        rows.append((sides, n, mobility, np.linalg.norm(mobility, 2), friction[k]))
-        un = n @ sum(to @ u[i] for i, to, _ in sides)
-        bounces = un < -BOUNCES and g < -un * h
-        least.append(max(-max(g, 0.0) / h, -restitution[k] * un if bounces else -np.inf))
-        corrected.append(max(least[-1], min(SHARE * (-g - SLOP) / h, FASTEST) if g < -SLOP else -np.inf))
-        old = remembered.get(int(contacts.contact_ids[k]), np.zeros(3))
-        p.append(old - min(old @ n, 0.0) * n)
-    relax(rows, u, least, p)
-    for body, velocity in zip(bodies, u, strict=True):
-        body.u = velocity.copy()
-    if corrected != least:
-        relax(rows, u, corrected, [np.zeros(3)] * len(p))  # of what is needed beside p
-    return dict(zip(map(int, contacts.contact_ids), p, strict=True)), u
+    a, b, friction, restitution = (np.repeat(column, counts) for column in columns)
+    jacobian, every = np.zeros((len(gaps), 3, n + 1, 6)), np.arange(len(gaps))  # row n: what cannot move
+    for fragments, sign in ((a, -1.0), (b, 1.0)):
+        rows = np.array([bodies.ids.index(i) if i in bodies.ids else n for i in fragments], int)
+        arms = 0.5 * (contacts.points_a + contacts.points_b) - np.vstack((bodies.x, np.zeros(3)))[rows]
+        jacobian[every, :, rows, :3] = sign * np.eye(3)
+        jacobian[every, :, rows, 3:] = sign * np.cross(arms[:, None], np.eye(3))
+    jacobian = jacobian[:, :, :n].reshape(3 * len(gaps), n, 6)
+    axes = bodies.turns.as_matrix()
+    inverses = axes @ np.linalg.inv(bodies.inertias) @ axes.transpose(0, 2, 1)
+    moved = np.concatenate(
+        (jacobian[..., :3] / bodies.masses[:, None], np.einsum("knj,nji->kni", jacobian[..., 3:], inverses)), axis=2
+    ).reshape(-1, 6 * n)  # changes of u by unit impulses
+    jacobian = jacobian.reshape(-1, 6 * n)
+    matrix, v = moved @ jacobian.T, jacobian @ bodies.u.ravel()
+    speeds = (normals * v.reshape(-1, 3)).sum(axis=1)
+    bounces = (speeds < -BOUNCES) & (gaps < -h * speeds)
+    least = np.maximum(-np.maximum(gaps, 0.0) / h, np.where(bounces, -restitution * speeds, -np.inf))
+    corrections = np.minimum(SHARE * (-gaps - SLOP) / h, FASTEST)
+    p = np.array([remembered.get(i, np.zeros(3)) for i in contacts.contact_ids.tolist()]).reshape(-1, 3)
+    p -= np.minimum((p * normals).sum(axis=1), 0.0)[:, None] * normals
+    p = relax(matrix, v, normals, friction, least, p.ravel())
+    bodies.u = bodies.u + (p @ moved).reshape(-1, 6)
+    corrected = np.where(gaps < -SLOP, np.maximum(least, corrections), least)
+    more = relax(matrix, v + matrix @ p, normals, friction, corrected, np.zeros(len(p)))
+    poses = bodies.u + (more @ moved).reshape(-1, 6)
+    return dict(zip(contacts.contact_ids.tolist(), p.reshape(-1, 3), strict=True)), poses
 
 
 def main():
@@ -162,29 +139,22 @@ def main():
     for number, body in enumerate(scene.bodies, 1):
         record = collision_body(number, body)._replace(sequence=number)
         body_publisher.publish(to_message(record, heading(0.0), RUN_ID))
-    bodies = [Body(i, body) for i, body in enumerate(scene.bodies, 1) if not body.is_static]
-    remembered, h = {}, scene.time_step
+    bodies, remembered, h = Bodies(scene), {}, scene.time_step
     for step in range(scene.step_count):
         if step:
-            for body in bodies:
-                body.fly(scene.gravity, h)
-        states = records.FragmentStates(
-            step, 0, [b.id for b in bodies], [b.origin for b in bodies], [b.q for b in bodies],
-            [b.origin_velocity() for b in bodies], [b.u[3:] for b in bodies], len(scene.bodies),
-        )  # fmt: skip
+            bodies.fly(scene.gravity, h)
         contacts.clear()
         while not any(c.run_id == RUN_ID and c.step == step for c in contacts) or not registries:
+            states = bodies.states(step, len(scene.bodies))
             state_publisher.publish(to_message(states, heading(step * h), RUN_ID))
             deadline = time.monotonic() + 10.0
             while time.monotonic() < deadline and not (contacts and registries):
                 rclpy.spin_once(node, timeout_sec=0.1)
         if not step:  # masses come with the first answer
-            for body in bodies:
-                body.take_mass(to_record(registries[-1]))
-                body.fly(scene.gravity, h)
+            bodies.take_masses(to_record(registries[-1]))
+            bodies.fly(scene.gravity, h)
         remembered, poses = solve(to_record(contacts[-1]), bodies, remembered, h)
-        for body, velocity in zip(bodies, poses, strict=True):
-            body.move(velocity, h)
+        bodies.move(poses, h)
     state_publisher.wait_for_all_acked(Duration(seconds=1))
     rclpy.shutdown()
 
