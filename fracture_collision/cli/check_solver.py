@@ -88,16 +88,20 @@ def check_solver(solver: str | None, names: tuple[str, ...], command: str | None
                         return run(name, part)
 
                     outcomes.append(check_case(case, shown))
-                _tell(console, outcomes[-1])
+                if not outcomes[-1].left_out:
+                    _tell(console, outcomes[-1])
                 interruption.check()
     except (UnknownSolver, MissingExtra) as error:
         raise BadInput(str(error)) from error
     except KeyboardInterrupt:
         console.print(f"stopped after {len(outcomes)} of {len(chosen)} cases", highlight=False)
         sys.exit(INTERRUPTED)
+    reasons = {case.name: case.not_by_node for case in left_out}
+    reasons |= {outcome.case.name: outcome.left_out for outcome in outcomes if outcome.left_out}
+    outcomes = [outcome for outcome in outcomes if not outcome.left_out]
     console.print(_summary(outcomes))
-    for case in left_out:
-        console.print(f"left out: {case.name}: {case.not_by_node}", highlight=False, soft_wrap=True)
+    for name, reason in reasons.items():
+        console.print(f"left out: {name}: {reason}", highlight=False, soft_wrap=True)
     failed = [outcome.case.name for outcome in outcomes if not outcome.passes]
     words = f"{len(outcomes) - len(failed)} of {len(outcomes)} cases pass"
     console.print(words + (f"; failed: {', '.join(failed)}" if failed else ""), highlight=False, soft_wrap=True)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fracture_collision.share import share_directory
 from fracture_collision.solver_check.recorded import Recorded, Track
 from fracture_collision.solver_check.solver_runs import Change, Strike, shuffled, thinned, with_bare_pairs
 
@@ -713,6 +714,100 @@ def _drift() -> Case:
     )  # fmt: skip
 
 
+# Piles and robots
+
+
+def _pile() -> Case:
+    spots = [(0.12 * math.cos(2.4 * k), 0.12 * math.sin(2.4 * k), 0.12 + 0.09 * k) for k in range(16)]
+    bodies = [
+        floor(),
+        *(body(f"box {k}", box(0.2, 0.12, 0.08), spot, rotation=[25.0 * k, 40.0 * k, 0.0])
+          for k, spot in enumerate(spots)),
+    ]  # fmt: skip
+
+    def judge(runs: Mapping[str, Recorded]) -> Figures:
+        run = runs["fall"]
+        tracks = [run.track(f"box {k}") for k in range(len(spots))]
+        fastest = max(float(norms(track.velocities()[-20:]).max()) for track in tracks)
+        yield Figure(
+            "fastest at the end [mm/s]", 1e3 * fastest, 0.0, 1.0,
+            "bodies creep or jitter: start from the last step's impulses, matched by contact id",
+        )  # fmt: skip
+        yield Figure(
+            "deepest at the end [mm]", -1e3 * float(run.contacts[-1].gaps.min(initial=0.0)), 0.0, 1e3 * TOLERANCE * 0.1,
+            "penetrations are not corrected, or faster than bodies can come to rest",
+        )  # fmt: skip
+        lowest = min(float(track.centers[:, 2].min()) for track in tracks)
+        yield Figure(
+            "centres of mass that were below the floor", float(lowest < 0.0), 0.0, 0.0, "bodies fall through each other"
+        )
+        if run.reports is not None:
+            energy = np.array([report.kinetic_energy + report.potential_energy for report in run.reports])
+            lifted = np.array([report.drift_energy for report in run.reports])
+            gain = float((np.diff(energy) - lifted[1:]).max())
+            yield Figure(
+                "largest gain of energy in a step, over the total", gain / energy[0], 0.0, 1e-6,
+                "restitution of resting contacts, or position correction that ends up in velocities",
+            )  # fmt: skip
+
+    return Case(
+        "pile", "Sixteen boxes fall on a heap and come to rest", {"fall": Part(scene(bodies, 3.0))}, judge
+    )
+
+
+# Of config/robots/three_links.urdf: (mass [kg], x of its centre [m]) beyond its joint `lift`, and the top of its hand.
+BEYOND_LIFT, HAND_TOP = ((3.0, 0.2), (1.5, 0.5)), 0.495
+LEAST = 60.0  # [N m] that `lift` has in the part `weak`: 60.3 are needed
+
+
+def _robot() -> Case:
+    def holding(density: float, torque: float) -> Part:
+        content = scene(
+            [body("load", box(0.2, 0.1, 0.06), (0.5, 0.0, HAND_TOP + 0.0302), material="load")], 0.75,
+            materials={"load": {"density": density, "friction": 0.6}},
+        )  # fmt: skip
+        motors = [
+            {"joint": joint, "torque": limit, "position": [[0.0, 0.0]]}
+            for joint, limit in (("turn", 200.0), ("lift", torque), ("tilt", 60.0))
+        ]
+        urdf = str(share_directory() / "config" / "robots" / "three_links.urdf")
+        return Part(content | {"robot": {"urdf": urdf, "material": "load", "motors": motors}})
+
+    def judge(runs: Mapping[str, Recorded]) -> Figures:
+        for name in ("2.4 kg", "9.6 kg"):
+            run = runs[name]
+            load = run.track("load")
+            assert run.torques is not None
+            statics = -G * (sum(m * x for m, x in BEYOND_LIFT) + load.mass * load.centers[-1, 0])
+            yield Figure(
+                f"{name}: torque of the lifting motor [N m]", float(run.torques[-1][1]), statics, 1e-3 * abs(statics),
+                "the robot does not feel its load, or twice: its links' impulses are those on the load, reversed",
+            )  # fmt: skip
+            yield Figure(
+                f"{name}: fastest at the end [mm/s]", 1e3 * float(norms(load.velocities()[-20:]).max()), 0.0, 0.1,
+                "the load is solved against a wrong mobility of the hand",
+            )  # fmt: skip
+        weak = runs["weak motor"]
+        assert weak.torques is not None
+        yield Figure(
+            "weak motor: largest torque at the end [N m]", max(abs(float(each[1])) for each in weak.torques[-100:]),
+            LEAST, 1e-6 * LEAST, "the motor's limit does not count",
+        )  # fmt: skip
+        fallen = weak.track("load").centers
+        yield Figure(
+            "weak motor: the load sinks", float(fallen[-1, 2] < fallen[100, 2] - 1e-4), 1.0, 0.0,
+            "the hand holds more than its motor can",
+        )  # fmt: skip
+
+    parts = {
+        "2.4 kg": holding(2000.0, 200.0), "9.6 kg": holding(8000.0, 200.0), "weak motor": holding(8000.0, LEAST)
+    }  # fmt: skip
+    return Case(
+        "robot", "A robot holds loads with the torques of equilibrium, and gives way where a motor is too weak", parts,
+        judge, "motors' torques are not part of what is recorded",
+    )  # fmt: skip
+
+
 # Bytes and cost
 
 
@@ -757,6 +852,6 @@ CASES: dict[str, Case] = {
     case.name: case
     for case in (
         _flight(), _frames(), _signs(), _slope(), _restitution(), _rest(), _floor_force(), _gaps(), _fracture(),
-        _fracture_in_flight(), _strength(), _drift(), _lists(), _bytes(), _cost(),
+        _fracture_in_flight(), _strength(), _drift(), _lists(), _pile(), _robot(), _bytes(), _cost(),
     )
 }  # fmt: skip

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from fracture_collision.extras import MissingExtra
 from fracture_collision.solver_check.cases import Case, Figure, Part
 from fracture_collision.solver_check.recorded import Recorded
-from fracture_collision.solver_check.solver_runs import UnknownSolver
+from fracture_collision.solver_check.solver_runs import LeftOut, UnknownSolver
 
 
 class Outcome(NamedTuple):
@@ -17,6 +17,7 @@ class Outcome(NamedTuple):
     case: Case
     figures: list[Figure]
     error: str = ""  # why it could not be judged
+    left_out: str = ""  # why it does not apply
 
     @property
     def passes(self) -> bool:
@@ -40,6 +41,8 @@ def check_case(case: Case, run: Callable[[str, Part], Recorded]) -> Outcome:
             recorded[name] = run(f"{case.name} {name}", part)
         except (KeyboardInterrupt, UnknownSolver, MissingExtra):
             raise
+        except LeftOut as error:
+            return Outcome(case, [], left_out=str(error))
         except Exception as error:
             words = str(error) if isinstance(error, CouldNotRun) else f"{type(error).__name__}: {error}"
             return Outcome(case, [], f"the run {name!r} ended early: {words}")

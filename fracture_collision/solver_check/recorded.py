@@ -21,6 +21,7 @@ from fracture_collision.records import (
     FragmentRegistry,
     FragmentStates,
 )
+from fracture_collision.simulation.step_records import StepReport
 
 
 class Impulses(NamedTuple):
@@ -40,7 +41,10 @@ class Recorded(NamedTuple):
     contacts: list[ContactConstraintArray]  # the answers to them
     events: list[FractureEvent]
     registries: dict[int, FragmentRegistry]  # by fracture_sequence
-    impulses: list[Impulses] | None = None  # of each step but the last; None: a node, which does not publish them
+    # Of each step, where the solver is in this process: a node does not publish them.
+    impulses: list[Impulses] | None = None
+    reports: list[StepReport] | None = None
+    torques: list[np.ndarray] | None = None  # (k,) [N m], [N] of the motors of a robot; None: the scene has none
 
     def id_of(self, name: str) -> int:
         """The id of a body, and of its fragment before any fracture. KeyError if there is none of this name."""

@@ -43,6 +43,14 @@ class Strike(NamedTuple):
     overload: float  # impulse over strength
 
 
+class NoRobots(Exception):
+    """A solver that has none."""
+
+
+class LeftOut(Exception):
+    """A run that this solver, or this installation, cannot have; the text has the reason."""
+
+
 class UnknownSolver(ValueError):
     """A solver that cannot be found or made; the text has the reason."""
 
@@ -77,13 +85,15 @@ def run_in_lockstep(
 ) -> Recorded:  # fmt: skip
     """The whole run of a scene. Raises UnknownSolver if the factory makes no Dynamics, and what the solver raises.
 
+    LeftOut if the scene has a robot and the solver, or this installation, has none.
+
     change: of the service's answers, before the solver gets them. check: called every step, may raise to stop.
     """
     spy = _Spy(_made(factory, scene))
     settings = Settings(threads=1, lookahead=scene.time_step)
-    states, contacts = [], []
+    states, contacts, reports, torques = [], [], [], []
     registries: dict[int, FragmentRegistry] = {}
-    with Lockstep(scene, settings, dynamics=spy) as running:
+    with _begun(scene, settings, spy) as running:
         running.world = service = _Service(running.world, change)
         bodies = running.simulation.start_bodies()
         ids = {body.name: body.fragment_id for body in bodies}
@@ -95,7 +105,21 @@ def run_in_lockstep(
             states.append(exchange.states)
             contacts.append(exchange.contacts)
             registries[exchange.registry.fracture_sequence] = exchange.registry
-    return Recorded(scene.time_step, bodies, states, contacts, service.events, registries, spy.impulses)
+            reports.append(exchange.report)
+            if running.simulation.robot is not None:
+                torques.append(running.simulation.robot.joints().torques)
+    return Recorded(
+        scene.time_step, bodies, states, contacts, service.events, registries, spy.impulses, reports, torques or None
+    )
+
+
+def _begun(scene: Scene, settings: Settings, dynamics: _Spy) -> Lockstep:
+    if scene.robot is None:
+        return Lockstep(scene, settings, dynamics=dynamics)
+    try:
+        return Lockstep(scene, settings, dynamics=dynamics)
+    except (MissingExtra, NoRobots) as error:
+        raise LeftOut(str(error)) from error
 
 
 def _made(factory: Factory, scene: Scene) -> Dynamics:
@@ -131,7 +155,10 @@ class _Spy:
         return self._dynamics.links()
 
     def carry(self, robot: Robot) -> None:
-        self._dynamics.carry(robot)
+        try:
+            self._dynamics.carry(robot)
+        except (AttributeError, ValueError) as error:
+            raise NoRobots(f"the solver has no robots (Dynamics.carry): {error}") from error
 
     def begin(self, planned: Planned | None) -> BodyStates:
         return self._dynamics.begin(planned)
