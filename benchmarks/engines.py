@@ -3,6 +3,8 @@
 Times of a step by part, in one process on one thread; how deep bodies are in each other, ever and at the end; how fast
 the fastest is at the end; and the largest rise of the energy in a step, as a share of the energy then, but for steps in
 which a body joins or something breaks. Whether a run is right is what benchmarks.scene_seeds --engine judges.
+
+A second table: how far the pieces of something move that breaks where it lies, without a blow.
 """
 
 from __future__ import annotations
@@ -22,10 +24,17 @@ from rich.table import Column, Table
 from fracture_collision.extras import MissingExtra
 from fracture_collision.lockstep import Exchange, Lockstep
 from fracture_collision.simulation.engines import with_engine
-from fracture_collision.simulation.scene.scene import ENGINES, Scene, SceneError, load_scene, scene_files
+from fracture_collision.simulation.scene.scene import (
+    ENGINES,
+    Scene,
+    SceneError,
+    load_scene,
+    parse_scene,
+    scene_files,
+)
 from fracture_collision.world import Settings
 
-MILLI = 1e3
+MILLI, MICRO = 1e3, 1e6
 WIDTH = 130  # of the table, which is wider than many terminals
 
 
@@ -74,6 +83,54 @@ def run_of(scene: Scene) -> Row:
     )  # fmt: skip
 
 
+class Snug(NamedTuple):
+    """A body that breaks where it lies."""
+
+    body: str
+    engine: str
+    pieces: int
+    moved: float  # [um] the farthest that a piece moves from where it was in the whole, at the end
+    speed: float  # [um/s] of the fastest, at the end
+
+
+SNUG = {
+    "slab": {"brick": {"size_xyz": [0.3, 0.3, 0.05], "edge_length": 0.025}},
+    "plate": {"brick": {"size_xyz": [0.3, 0.3, 0.02], "edge_length": 0.02}},
+}
+BREAKS_AT, SNUG_TIME = 100, 2.25  # step, [s]
+
+
+def snug_of(name: str, engine: str) -> Snug:
+    """Pieces of a body on a floor, two seconds after it has broken."""
+    height = SNUG[name]["brick"]["size_xyz"][2]  # type: ignore[index]
+    fracture = {"strength": 1e3, "minimum_mass": 0.0, "pattern": {"seeds": 12, "minimum_nodes": 8}}
+    content = {
+        "time_step": 0.0025, "duration": SNUG_TIME, "solver": {"sleep_time": 0.0},
+        "materials": {"clay": {"density": 2000.0, "friction": 0.6, "fracture": fracture}},
+        "bodies": [
+            {"name": "floor", "material": "clay", "static": True, "shape": {"plane": {"coefficients": [0, 0, 1, 0]}}},
+            {"name": name, "material": "clay", "shape": SNUG[name], "position": [0.0, 0.0, 0.5001 * height]},
+        ],
+    }  # fmt: skip
+    scene = with_engine(parse_scene(content, name), engine)
+    with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as run:
+        for step in range(scene.step_count):
+            if step == BREAKS_AT:
+                start = run.simulation.dynamics.states().frame_positions[0]
+                run.simulation.strike(2, np.array([0.0, 0.0, 0.5 * height]), 3.0)
+            run.step()
+        states = run.simulation.dynamics.states()
+    moved, speeds = (np.sqrt((v * v).sum(axis=1)).max() for v in (states.frame_positions - start, states.linear))
+    return Snug(name, engine, len(states.masses), MICRO * float(moved), MICRO * float(speeds))
+
+
+def snug_table_of(rows: list[Snug]) -> Table:
+    table = Table("breaks where it lies", "engine", "pieces", "moved, um", "um/s", title="two seconds later")
+    for row in rows:
+        table.add_row(row.body, row.engine, str(row.pieces), f"{row.moved:.3g}", f"{row.speed:.3g}")
+    return table
+
+
 def table_of(rows: list[Row]) -> Table:
     names = (
         "scene", "engine", "pieces", "contacts", "service", "physics", "worst", "at fracture", "deepest", "at the end",
@@ -115,6 +172,7 @@ def main(scenes: tuple[str, ...], csv_path: Path | None) -> None:
         run_of(with_engine(load_scene("pane"), engine))
     rows = [run_of(case) for case in track(cases, "runs", console=Console(stderr=True))]
     show(table_of(rows), rows, 3, csv_path)
+    Console().print(snug_table_of([snug_of(*case) for case in product(SNUG, ENGINES)]))
 
 
 if __name__ == "__main__":

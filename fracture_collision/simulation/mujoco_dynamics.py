@@ -58,6 +58,7 @@ from fracture_collision.simulation.solver.contact_solver import (  # noqa: E402
     RigidBodies,
     Solution,
     SolverSettings,
+    relative_velocities,
     sums_of_bodies,
     work_of_impulses,
 )
@@ -246,7 +247,10 @@ class MujocoDynamics(SleepingWorld):
             # as in solve_with_strengths: in this step poses move as if the fragments that break held
             velocities, drift = capped, drift + velocities - capped
         impulses[at] = after
-        is_blow = np.einsum("nj,nj->n", contacts.frames[:, 0], _speeds(contacts, bodies)) < -contacts.bounce_speeds
+        relative = relative_velocities(
+            contacts.body_a, contacts.body_b, contacts.points, bodies.centers, bodies.velocities
+        )
+        is_blow = dots(contacts.frames[:, 0], relative) < -contacts.bounce_speeds
         pressing[at] = np.where(is_blow & (contacts.restitution > 0.0), 0.0, local[:, 0])
         carried = WarmStart(now.fragment_a, now.fragment_b, begin, now.contact_ids, impulses, rolling)
         return Solution(velocities, drift, normal, pressing, carried), overloaded, limits
@@ -711,14 +715,3 @@ def _frames_of(normals: np.ndarray) -> np.ndarray:
     frames[:, 1] = tangent / np.sqrt((tangent * tangent).sum(axis=1, keepdims=True))
     frames[:, 2] = np.cross(frames[:, 0], frames[:, 1])
     return frames
-
-
-def _speeds(contacts: _Contacts, bodies: RigidBodies) -> np.ndarray:
-    """Velocities (N, 3) [m/s] of b against a at the contact points, before the step."""
-    u = np.vstack((bodies.velocities, np.zeros(6)))
-    centers = np.vstack((bodies.centers, np.zeros(3)))
-    a, b = (
-        u[body, :3] + np.cross(u[body, 3:], contacts.points - centers[body])
-        for body in (contacts.body_a, contacts.body_b)
-    )
-    return b - a

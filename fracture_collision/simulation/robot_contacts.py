@@ -37,6 +37,7 @@ from fracture_collision.simulation.solver.contact_solver import (
     BodyPairs,
     RigidBodies,
     Solution,
+    relative_velocities,
     work_of_impulses,
 )
 from fracture_collision.simulation.solver.warm_start import WarmStart, carried_impulses
@@ -259,11 +260,9 @@ def _with_blows_closed(
     Or an impact without restitution would be shared among two steps, and break nothing in either.
     """
     counts: np.ndarray = np.diff(contacts.pair_begin)
-    still = np.zeros((1, 6))
-    u, centers = np.vstack((bodies.free_velocities, still)), np.vstack((bodies.centers, still[:, :3]))
     a, b = np.repeat(pairs.body_a, counts), np.repeat(pairs.body_b, counts)
-    v_a, v_b = (u[row, :3] + crossed(u[row, 3:], points - centers[row]) for row in (a, b))
-    approach = -dots(contacts.normals, v_b - v_a)
+    velocities = relative_velocities(a, b, points, bodies.centers, bodies.free_velocities)
+    approach = -dots(contacts.normals, velocities)
     beyond = contacts.gaps - pairs.rest_gaps
     span = np.append(bodies.spans, np.inf)
     closing = np.minimum(span[a], span[b]) * approach

@@ -208,6 +208,16 @@ def kinetic_energy(masses: np.ndarray, inertias: np.ndarray, velocities: np.ndar
     return float(0.5 * (moving.sum() + turning.sum()))
 
 
+def relative_velocities(
+    body_a: np.ndarray, body_b: np.ndarray, points: np.ndarray, centers: np.ndarray, velocities: np.ndarray
+) -> np.ndarray:
+    """Velocities (N, 3) [m/s] of b against a at `points` (N, 3) [m], by rows (N,) of n bodies; n cannot move."""
+    still = np.zeros((1, 6))
+    u, x = np.vstack((velocities, still)), np.vstack((centers, still[:, :3]))
+    a, b = (u[rows, :3] + crossed(u[rows, 3:], points - x[rows]) for rows in (body_a, body_b))
+    return b - a
+
+
 def work_of_impulses(
     rows: np.ndarray, impulses: np.ndarray, arms: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> float:
