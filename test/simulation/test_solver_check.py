@@ -31,7 +31,7 @@ from fracture_collision.solver_check.solver_runs import (
     with_bare_pairs,
 )
 
-QUICK = ("flight", "frames", "signs", "gaps", "drift", "strength", "fracture_in_flight")
+QUICK = ("flight", "frames", "signs", "gaps", "drift", "strength", "fracture_in_flight", "robot")
 ENGINES = [
     "own",
     pytest.param("mujoco", marks=pytest.mark.skipif(bool(missing_of("mujoco")), reason="MuJoCo is not installed")),
@@ -58,6 +58,9 @@ def words_of(outcome: Outcome) -> list[str]:
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_engine_passes(engine: str, name: str) -> None:
     outcome = outcome_of(name, engine)
+    if name == "robot" and missing_of("bullet"):
+        assert "bullet" in outcome.left_out
+        return
     assert outcome.passes and outcome.figures, words_of(outcome)
 
 
@@ -83,6 +86,17 @@ class Mistaken(OwnDynamics):
 
     def solve(self, given: Given) -> Solved:
         return super().solve(self.changed(given))
+
+
+class WithoutRobots(Mistaken):
+    def carry(self, robot: Any) -> None:
+        raise ValueError("its bodies are free")
+
+
+def test_a_solver_without_robots_leaves_their_case_out() -> None:
+    outcome = outcome_of("robot", WithoutRobots)
+    assert outcome.left_out == "the solver has no robots (Dynamics.carry): its bodies are free"
+    assert not outcome.figures and not outcome.error
 
 
 def with_now(given: Given, **changes: Any) -> Given:
