@@ -198,7 +198,7 @@ def _measured(
         more = robot.trial([*pushes, Push(link, NUDGE * normal, center)])
         v, v_more = (_velocity(motion, frames, i, center) for motion in (after, more))
         mobility = max(float(dots(normal, v_more[:3] - v[:3])) / NUDGE, LEAST_MOBILITY)
-        known, inertia = signs[:, None] * impulses[its], GYRATION**2 / mobility
+        known, inertia = signs[:, None] * impulses[its], GYRATION * GYRATION / mobility
         masses[row], inertias[row], centers[row] = 1.0 / mobility, inertia * np.eye(3), center
         velocities[row] = _velocity(frames, frames, i, center)
         torque = crossed(points[its] - center, known).sum(axis=0)
