@@ -154,10 +154,10 @@ def test_a_killed_recorder_leaves_a_readable_bag(stage: StageWithClients, tmp_pa
 class Asking:
     """A node whose parameters may change, a recorder that asks it for its settings, and what it was told."""
 
-    def __init__(self, **service: bool) -> None:
+    def __init__(self) -> None:
         self._context = own_context(free_domain_id())
         named = {"context": self._context, "namespace": "/arm"}
-        self.service = rclpy.create_node("service", **named, **service)
+        self.service = rclpy.create_node("service", **named, start_parameter_services=False)
         self._recorder = rclpy.create_node("recorder", **named)
         self._executor = SingleThreadedExecutor(context=self._context)
         self.told: list[dict[str, object]] = []
@@ -185,25 +185,15 @@ class Asking:
         self._context.try_shutdown()
 
 
-def test_settings_are_requested_and_requested_again_when_they_change() -> None:
-    with closing(Asking()) as asking:
-        for name, value in values_of(Settings()).items():
-            asking.service.declare_parameter(name, value)
-        asking.announce()
-        asking.spin_until(1)
-        assert asking.told == [values_of(Settings())]
-        asking.service.set_parameters([Parameter("contacts_per_pair", value=5)])
-        asking.spin_until(2)
-        assert asking.told[1] == values_of(Settings(contacts_per_pair=5))
-
-
-def test_settings_are_requested_again_if_the_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_are_requested_until_they_come_and_followed_when_they_change(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(repeated_request, "ASK_AGAIN", 0.2)
     lost: list[GetParameters.Response] = []
 
     def answer(request: GetParameters.Request, response: GetParameters.Response) -> GetParameters.Response:
-        values = values_of(Settings())
-        response.values = [Parameter(name, value=values[name]).get_parameter_value() for name in request.names]
+        found = asking.service.get_parameters(request.names)
+        response.values = [parameter.get_parameter_value() for parameter in found]
         return response
 
     def lose_two(response: GetParameters.Response, header: object) -> None:
@@ -212,13 +202,18 @@ def test_settings_are_requested_again_if_the_answer_is_lost(monkeypatch: pytest.
         else:
             send(response, header)
 
-    with closing(Asking(start_parameter_services=False)) as asking:
+    with closing(Asking()) as asking:
+        for name, value in values_of(Settings()).items():
+            asking.service.declare_parameter(name, value)
         parameters = asking.service.create_service(GetParameters, "service/get_parameters", answer)
         send = parameters.send_response
         parameters.send_response = lose_two
         asking.announce()
         asking.spin_until(1)
         assert asking.told == [values_of(Settings())] and len(lost) == 2
+        asking.service.set_parameters([Parameter("contacts_per_pair", value=5)])
+        asking.spin_until(2)
+        assert asking.told[1] == values_of(Settings(contacts_per_pair=5))
 
 
 def test_a_recorder_survives_undecodable_messages(stage: StageWithClients, tmp_path: Path) -> None:
@@ -240,14 +235,12 @@ def example_event(sequence: int) -> FractureEvent:
     return FractureEvent(sequence, 1, 1, ids + 2, ids, ids, ids, np.ones(4))
 
 
-@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_replay_over_dds_reports_and_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
-    bag = record_pane(tmp_path / "pane")
-    with begun(tmp_path, "replay", bag, "--ros", "--loop", "100000") as process:
+def test_an_interrupted_replay_over_dds_reports_and_leaves_no_process(tmp_path: Path, recorded: Path) -> None:
+    with begun(tmp_path, "replay", recorded, "--ros", "--loop", "100000") as process:
         process.until(lambda: bool(children(process.pid)))
         (service,) = children(process.pid)
         process.until(lambda: busy(service))
-        process.stop(order)
+        process.stop(signal.SIGINT)
     assert "stopped" in process.text
     assert not Path(f"/proc/{service}").exists()
 
