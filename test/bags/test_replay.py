@@ -262,12 +262,6 @@ def test_settings_are_read_from_the_bag(tmp_path: Path) -> None:
     assert settings_of(bag, {"contacts_per_pair": 5}).settings.contacts_per_pair == 5
 
 
-def test_a_bag_without_settings_is_replayed_with_reported_defaults(bag: Path, tmp_path: Path) -> None:
-    plain = write_bag(tmp_path / "plain", read_messages(bag))
-    settings, words = settings_of(plain, {})
-    assert settings == Settings() and "defaults" in words[0]
-
-
 def with_registries(folder: Path, bag: Path, *texts: str) -> Path:
     """The bag with registries that have these `settings`, and no custom data: as `ros2 bag record` leaves it."""
     topics = [bag_topic(f"/{topic.name}", topic) for topic in (*TOPICS, qos.FRAGMENTS)]

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from stages.ros_stage import StageWithClients
-from stages.typed_command import begun, run
+from stages.typed_command import begun, call
 from test_replay import CONTACTS, EVENTS, STATES
 from worlds.recorded_pane import STEPS, record_pane, replayed
 from worlds.scene_of_length import scene_of_length
@@ -131,10 +131,8 @@ def test_a_killed_recorder_leaves_a_readable_bag(stage: StageWithClients, tmp_pa
     steps = replayed(read_runs(bag), Order(end=60), **settings._asdict())
     assert steps.exact and steps.steps > 30
 
-    done = run("replay", bag, "--steps", "0:20")
-    assert done.returncode == 0 and "note:" in done.stdout and "is truncated" in done.stdout
-    done = run("digest", bag)
-    assert done.returncode == 0 and "is truncated" in done.stderr and CONTACTS in done.stdout
+    for done in (call("replay", bag, "--steps", "0:20"), call("digest", bag)):
+        assert done.status == 0 and "is truncated" in done.text
 
     before = list(read_messages(bag))
     mended = mend_bag(bag)

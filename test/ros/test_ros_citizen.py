@@ -76,6 +76,9 @@ def test_two_simulators_do_not_mix_their_runs(new_client: Callable[[], ServiceCl
     assert second.await_registry(another, 0).fragment_ids.tolist() == [1, 2]
     second.spin_until(lambda: second.diagnostics.get(ANSWERS) == "ready", "no states are held for the first")
     assert not any(answer.step == 6 for answer in first.answers)
+    # the first run again, as when a bag is played in a loop
+    tell_all(first, run_id)
+    assert record_bytes(first.ask(STATES, run_id)) == record_bytes(expected_contacts())
 
 
 def test_bodies_and_states_may_be_published_by_two_processes(
