@@ -23,6 +23,7 @@ from test_replay import CONTACTS, EVENTS, STATES
 from worlds.recorded_pane import STEPS, record_pane, replayed
 from worlds.scene_of_length import scene_of_length
 
+from campaigns.kills.stage import await_that
 from fracture_collision.bag.exchanges import read_runs, registry_settings, serialize_record
 from fracture_collision.bag.mcap_file import McapFile
 from fracture_collision.bag.reader import (
@@ -48,13 +49,6 @@ from fracture_collision.world import Settings
 from fracture_collision.world.settings import settings_text, values_of
 
 PATIENCE = 60.0  # [s] on a loaded machine
-
-
-def await_(condition, what: str) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline, f"in vain: {what}"
-        time.sleep(0.05)
 
 
 def test_a_replay_over_dds_gives_the_answers_of_one_in_process(tmp_path: Path) -> None:
@@ -89,7 +83,7 @@ def test_nodes_record_the_same_as_the_library(stage: StageWithClients, tmp_path:
     given = {"contacts_per_pair": 6, "penetration_tolerance": 0.003, "threads": 1, "lookahead": 0.0025}
     recording = Recording(stage, tmp_path / "bag", "pane", given)
     assert recording.simulator.wait(PATIENCE) == 0
-    await_(lambda: recorded_settings(recording.bag) is not None, "the settings")
+    await_that(lambda: recorded_settings(recording.bag) is not None, "the settings")
     assert recording.stop()[1:] == [0, 0]
     assert missing_words(recording.bag) == []
     library = tmp_path / "library"
@@ -112,8 +106,8 @@ def test_a_killed_recorder_leaves_a_readable_bag(stage: StageWithClients, tmp_pa
     long_scene = scene_of_length("pane", 600.0, tmp_path)
     recording = Recording(stage, tmp_path / "bag", long_scene, {"threads": 1})
     file = recording.bag / "bag_0.mcap"
-    await_(lambda: (recording.bag / "metadata.yaml").is_file(), "metadata from the start")
-    await_(lambda: message_counts(recording.bag).get(CONTACTS, 0) > 30, "some of the run on disk")
+    await_that(lambda: (recording.bag / "metadata.yaml").is_file(), "metadata from the start")
+    await_that(lambda: message_counts(recording.bag).get(CONTACTS, 0) > 30, "some of the run on disk")
     recording.recorder.send_signal(signal.SIGKILL)
     assert recording.recorder.wait(10.0) == -signal.SIGKILL
     recording.stop()
@@ -221,7 +215,7 @@ def test_a_recorder_survives_undecodable_messages(stage: StageWithClients, tmp_p
     good = [serialize_record(example_event(i), Heading(i - 1, 0, "world"), 7) for i in range(3)]
     for data in (b"\x00\x01\x00\x00", b"\x07\x07" + good[0][2:], good[0][:-5], *good):
         client.publish_bytes("fracture_events", data)
-    await_(lambda: message_counts(tmp_path / "bag").get(EVENTS, 0) == 3, "the good ones, on disk")
+    await_that(lambda: message_counts(tmp_path / "bag").get(EVENTS, 0) == 3, "the good ones, on disk")
     assert recorder.stop() == 0
     found = [(message.nanoseconds, message.data) for message in read_messages(tmp_path / "bag", [EVENTS])]
     assert found == [(0, good[0]), (0, good[1]), (10**9, good[2])]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from stages.bag_of_records import write_bag
-from stages.browser import HEIGHT, PATIENCE, WIDTH, knob, opened, picture_of, until
+from stages.browser import HEIGHT, PATIENCE, WIDTH, await_frames, camera_of, knob, opened, picture_of, until
 from worlds.small_run import BREAKS, records_of, show, small_run
 
 from fracture_collision.records import ContactConstraintArray, FragmentMesh, FragmentStates, refusal_of
@@ -128,32 +128,6 @@ def drag_to_the_right(seen: Any, heard: queue.Queue[tuple[str, Any]], eye: np.nd
     assert last.target - last.grip == pytest.approx([40 * 2.85 * 2.0 * np.tan(0.3) / HEIGHT, 0.0, 0.0], abs=0.03)
     ahead = last.target - eye
     assert last.ray.direction == pytest.approx(ahead / np.linalg.norm(ahead), abs=1e-3)
-
-
-def camera_of(page: Page) -> np.ndarray:
-    """Where the one browser says its camera is."""
-    (client,) = page._server.get_clients().values()
-    return np.array(client.camera.position)
-
-
-def await_frames(seen: Any) -> None:
-    """Until the browser has drawn ten times."""
-    seen.evaluate("""async () => {
-      for (let i = 0; i < 10; i++) await new Promise(drawn => requestAnimationFrame(drawn));
-    }""")
-
-
-def test_arrow_keys_turn_the_camera_where_no_hammer_has_them(browser: Any) -> None:
-    with Page() as page:
-        page.look_from(AT_THE_OTHER)
-        page.flush()
-        with opened(browser, page.address) as seen:
-            until(lambda: page.browsers, bool)
-            before = camera_of(page)
-            seen.keyboard.down("ArrowUp")
-            await_frames(seen)
-            until(lambda: camera_of(page), lambda now: not np.array_equal(now, before))
-            seen.keyboard.up("ArrowUp")
 
 
 def test_clicks_drags_keys_and_layers_work_in_the_browser(browser: Any) -> None:

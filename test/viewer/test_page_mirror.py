@@ -150,12 +150,12 @@ def test_lookahead_contacts_do_not_count_as_colliding(stage: Stage) -> None:
     assert figures.colliding == len(every_contact(with_settings(stage.case, TRUE), states).gaps)
 
 
-def test_settings_take_effect_at_once_in_a_paused_scene(stage: Stage) -> None:
-    stage.mirror.want(BOTH)
+def test_a_viewer_joins_a_paused_scene_and_settings_take_effect_at_once(stage: Stage) -> None:
     stage.mirror.hear_paused(True)
-    stage.tell_step(5)
-    while (figures := stage.next_view().figures) is None or figures.is_replayed:
-        pass
+    stage.tell_step(5)  # the answer is not requested
+    stage.mirror.want(BOTH)
+    figures, errors = stage.next_view().figures, stage.true_errors(5)
+    assert figures.is_replayed and (figures.contacts, figures.colliding) == (errors.listed, errors.colliding)
     for changes in (
         {"contacts_per_pair": 32}, {"penetration_tolerance": 0.05}, {"method": "glondu2014"}, {"max_work": 100},
     ):  # fmt: skip
@@ -174,17 +174,6 @@ def test_settings_take_effect_at_once_in_a_paused_scene(stage: Stage) -> None:
     while figures.is_replayed:
         figures = stage.next_view().figures
     assert figures.contacts == stage.true_errors(6, settings).listed
-
-
-def test_a_viewer_that_joins_a_paused_scene_sees_it(stage: Stage) -> None:
-    stage.mirror.hear_paused(True)
-    stage.tell_step(7)  # the answer is not requested
-    stage.mirror.want(BOTH)
-    figures = stage.next_view().figures
-    states = stage.states(7)
-    every = every_contact(with_settings(stage.case, TRUE), states)
-    few = with_settings(stage.case, SETTINGS).contacts(states)
-    assert figures.is_replayed and (figures.contacts, figures.colliding) == (len(few.gaps), len(every.gaps))
 
 
 def test_a_new_run_starts_afresh_and_the_mirror_stops_without_viewers(stage: Stage) -> None:

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from stages.browser import knob, opened, until
+from stages.browser import await_frames, camera_of, knob, opened, until
 from worlds.small_run import records_of, show
 
 from fracture_collision.records import FragmentMesh
@@ -65,9 +65,11 @@ def test_the_document_has_a_title_and_an_icon_of_its_own(encoding: str) -> None:
     assert unquote(icon).startswith("<svg") and "#265e96" in unquote(icon)
 
 
-def test_the_title_names_the_scene_and_settings_have_their_ranges(browser: Any) -> None:
+def test_the_title_names_the_scene_settings_have_ranges_and_arrows_turn_the_camera(browser: Any) -> None:
+    """Arrows do so where no hammer has them."""
     heard: Queue[ServiceSliders] = Queue()
-    with Page(ALL._replace(service_set=heard.put), START) as page, opened(browser, page.address) as seen:
+    handlers = ALL._replace(service_set=heard.put, arrow=None)
+    with Page(handlers, START) as page, opened(browser, page.address) as seen:
         assert seen.title() == "plates - fracture_collision"
         until(lambda: page.browsers, bool)
         page.show_scene("vase")
@@ -75,6 +77,12 @@ def test_the_title_names_the_scene_and_settings_have_their_ranges(browser: Any) 
         until(lambda: knob(seen, "scene").input_value(), lambda name: name == "vase")
         seen.reload()
         until(seen.title, lambda title: title == "vase - fracture_collision")
+        until(lambda: page.browsers, lambda count: count == 1)
+        before = camera_of(page)
+        seen.keyboard.down("ArrowUp")
+        await_frames(seen)
+        until(lambda: camera_of(page), lambda now: not np.array_equal(now, before))
+        seen.keyboard.up("ArrowUp")
         knob(seen, "contacts_per_pair").fill("1024")
         assert heard.get(timeout=60).contacts_per_pair == 1024
         knob(seen, "contacts_per_pair").fill("2000")
