@@ -124,8 +124,7 @@ def test_two_runs_are_the_same_byte_for_byte_but_for_their_ids(smashed: tuple[Pa
         assert topic_digest(first / "bag", topic) == topic_digest(tmp_path / "out" / "bag", topic)
 
 
-@pytest.mark.parametrize("order", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
+def test_an_interrupted_command_leaves_no_process(tmp_path: Path) -> None:
     long_scene = scene_of_length(SCENE, 600.0, tmp_path)
     out = tmp_path / "out"
     with begun(tmp_path, "smash", "--scene", long_scene, "--out", out) as process:
@@ -133,7 +132,7 @@ def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.
         process.until(lambda: any("begins" in log.read_text() for log in out.glob(logs)))
         assert len(nodes_of(out)) == 3
         await_a_step(out)
-        process.stop(order)
+        process.stop(signal.SIGINT)
     assert nodes_of(out) == []
     assert "all nodes have ended" in process.text
     assert {each.name for each in out.iterdir()} == {"bag", "logs"}
