@@ -225,4 +225,4 @@ def test_registries_recorded_before_they_had_settings_name_none(tmp_path: Path) 
     assert registry_settings(tmp_path / "old") == []
     assert registry_settings(tmp_path / "new") == [json.loads(settings_text(AHEAD))]
     lacking = "the bag lacks the settings of the service; the replay uses the defaults"
-    assert settings_of(tmp_path / "old", {"contacts_per_pair": 5}).words == [lacking]
+    assert settings_of(tmp_path / "old", {"contacts_per_pair": 5}) == (Settings(contacts_per_pair=5), [lacking])

@@ -11,7 +11,6 @@ import pytest
 import yaml
 from mcap.writer import CompressionType
 from stages.mcap_bytes import CHUNK, mcap_of, records
-from worlds.recorded_pane import record_pane
 
 from fracture_collision.bag.exchanges import read_runs
 from fracture_collision.bag.mcap_file import BagError, McapFile
@@ -23,17 +22,12 @@ FILE = "pane_0.mcap"
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return record_pane(tmp_path_factory.mktemp("whole") / "pane")
-
-
-@pytest.fixture(scope="module")
-def chunky(tmp_path_factory: pytest.TempPathFactory, whole: Path) -> Path:
+def chunky(tmp_path_factory: pytest.TempPathFactory, recorded: Path) -> Path:
     """The same bag in chunks of a few kilobytes."""
     folder = tmp_path_factory.mktemp("chunky") / "pane"
     folder.mkdir()
-    shutil.copy(whole / "metadata.yaml", folder)
-    (folder / FILE).write_bytes(mcap_of(list(read_messages(whole)), whole / FILE))
+    shutil.copy(recorded / "metadata.yaml", folder)
+    (folder / FILE).write_bytes(mcap_of(list(read_messages(recorded)), recorded / FILE))
     return folder
 
 
@@ -46,14 +40,16 @@ def bag(chunky: Path, tmp_path: Path) -> Path:
 # --- cut ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_bag_cut_anywhere_gives_the_messages_before_the_cut(bag: Path) -> None:
+@pytest.mark.parametrize(("every", "others"), [(4, 10), pytest.param(1, 40, marks=pytest.mark.slow)])
+def test_a_bag_cut_anywhere_gives_the_messages_before_the_cut(bag: Path, every: int, others: int) -> None:
+    """At the end of records, `every` how many of them, and at `others` places."""
     data = (bag / FILE).read_bytes()
     messages = list(read_messages(bag))
     ends = [begin + size for _, begin, size in records(data)]
     first_chunk = next(begin for opcode, begin, _ in records(data) if opcode == CHUNK) - 9
     random = np.random.default_rng(1)
     read = []
-    for length in sorted({*ends, *random.integers(first_chunk, len(data), 40).tolist()}):
+    for length in sorted({*ends[::-every], *random.integers(first_chunk, len(data), others).tolist()}):
         (bag / FILE).write_bytes(data[:length])
         found = list(read_messages(bag))
         assert found == messages[: len(found)]
@@ -74,8 +70,11 @@ def test_filler_at_the_end_of_a_cut_file_is_ignored(bag: Path, tail: bytes) -> N
     assert McapFile(bag / FILE).lost_bytes == len(tail)
 
 
-def test_a_folder_without_metadata_is_read_and_reported(bag: Path) -> None:
+def test_a_folder_without_valid_metadata_is_read_reported_and_mended(bag: Path) -> None:
     messages = list(read_messages(bag))
+    (bag / "metadata.yaml").write_text(f"{KEY}: [odd]")
+    assert mend_bag(bag).messages == len(messages)
+    assert list(read_messages(bag)) == messages
     (bag / "metadata.yaml").unlink()
     assert list(read_messages(bag)) == messages
     assert missing_words(bag) == [f"{bag}: has no metadata.yaml"]
@@ -103,13 +102,6 @@ def test_mending_omits_damaged_parts_and_reports_where(bag: Path) -> None:
     assert [message for message in messages if message in found] == found
 
 
-def test_a_folder_with_invalid_metadata_is_mended(bag: Path) -> None:
-    messages = list(read_messages(bag))
-    (bag / "metadata.yaml").write_text(f"{KEY}: [odd]")
-    assert mend_bag(bag).messages == len(messages)
-    assert list(read_messages(bag)) == messages
-
-
 def test_files_that_cannot_be_mended_stay_unchanged(bag: Path) -> None:
     (bag / FILE).write_bytes(b"no bag" * 100)
     before = {path.name: path.read_bytes() for path in bag.iterdir()}
@@ -127,19 +119,19 @@ def test_files_that_cannot_be_mended_stay_unchanged(bag: Path) -> None:
      {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False}, {"enable_crcs": False}],
     ids=["no chunks", "lz4", "not compressed", "no summary", "no checksums"],
 )  # fmt: skip
-def test_bags_of_other_writers_are_read(bag: Path, whole: Path, writing: dict[str, Any]) -> None:
-    messages = list(read_messages(whole))
-    (bag / FILE).write_bytes(mcap_of(messages, whole / FILE, **writing))
+def test_bags_of_other_writers_are_read(bag: Path, recorded: Path, writing: dict[str, Any]) -> None:
+    messages = list(read_messages(recorded))
+    (bag / FILE).write_bytes(mcap_of(messages, recorded / FILE, **writing))
     assert list(read_messages(bag)) == messages and McapFile(bag / FILE).is_whole
     assert len(read_runs(bag)[0].questions) == 30
 
 
-def test_messages_are_read_in_the_order_of_their_times(bag: Path, whole: Path) -> None:
+def test_messages_are_read_in_the_order_of_their_times(bag: Path, recorded: Path) -> None:
     """Even if the file stores them in a different order, across chunks."""
-    messages = list(read_messages(whole))
+    messages = list(read_messages(recorded))
     random = np.random.default_rng(2)
     shuffled = [messages[i] for i in np.argsort(np.arange(len(messages)) + random.uniform(0, 40, len(messages)))]
-    (bag / FILE).write_bytes(mcap_of(shuffled, whole / FILE))
+    (bag / FILE).write_bytes(mcap_of(shuffled, recorded / FILE))
     found = list(read_messages(bag))
     assert [m.nanoseconds for m in found] == sorted(m.nanoseconds for m in messages)
     assert sorted(found) == sorted(messages)

@@ -14,14 +14,13 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from click.testing import CliRunner
-from matplotlib.image import imread
 from rosbags.highlevel import AnyReader
-from stages.typed_command import begun, run
+from stages.drawn_file import colours_of
+from stages.typed_command import begun, call, run
 from worlds.scene_of_length import scene_of_length
 
 from fracture_collision.bag.reader import read_messages, topic_digest
-from fracture_collision.cli.smash import _filled, _own_scene, smash
+from fracture_collision.cli.smash import _filled, _own_scene
 from fracture_collision.geometry.generators import TetGeometry, ball
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.simulation.scene.scene import load_scene
@@ -83,6 +82,7 @@ def test_every_step_is_answered_and_reported(smashed: tuple[Path, str]) -> None:
     assert max(report["contacts"]) > 0 and min(report["collision_ms"]) > 0 and min(report["ros_ms"]) > 0
     for words in ("collision detection", "contact solver", "ROS", "triangles"):
         assert words in said
+    assert colours_of(out / "film_strip.png") > 50 and colours_of(out / "times.png") > 50
     assert nodes_of(out) == []
 
 
@@ -109,14 +109,6 @@ def test_bag_opens_in_rosbags_with_all_topics(smashed: tuple[Path, str]) -> None
     assert all(each.status[0].name == "fracture_collision: answers" for _, each in messages.get("/diagnostics", []))
 
 
-def test_pictures_are_not_blank(smashed: tuple[Path, str]) -> None:
-    out, _ = smashed
-    for name in ("film_strip.png", "times.png"):
-        picture = imread(out / name)[..., :3]
-        assert min(picture.shape[:2]) > 100
-        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
-
-
 @pytest.mark.slow
 def test_two_runs_are_the_same_byte_for_byte_but_for_their_ids(smashed: tuple[Path, str], tmp_path: Path) -> None:
     first, _ = smashed
@@ -132,8 +124,7 @@ def test_two_runs_are_the_same_byte_for_byte_but_for_their_ids(smashed: tuple[Pa
         assert topic_digest(first / "bag", topic) == topic_digest(tmp_path / "out" / "bag", topic)
 
 
-@pytest.mark.parametrize("order", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.Signals) -> None:
+def test_an_interrupted_command_leaves_no_process(tmp_path: Path) -> None:
     long_scene = scene_of_length(SCENE, 600.0, tmp_path)
     out = tmp_path / "out"
     with begun(tmp_path, "smash", "--scene", long_scene, "--out", out) as process:
@@ -141,14 +132,17 @@ def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.
         process.until(lambda: any("begins" in log.read_text() for log in out.glob(logs)))
         assert len(nodes_of(out)) == 3
         await_a_step(out)
-        process.stop(order)
+        process.stop(signal.SIGINT)
     assert nodes_of(out) == []
     assert "all nodes have ended" in process.text
     assert {each.name for each in out.iterdir()} == {"bag", "logs"}
     assert next(read_messages(out / "bag", ["/fragment_states"])) is not None
 
 
-@pytest.mark.parametrize("there", [False, True])
+def files_of(out: Path) -> list[tuple[str, str]]:
+    return sorted((str(file), file.read_text()) for file in out.rglob("*") if file.is_file())
+
+
 @pytest.mark.parametrize(
     ("words", "domain", "said", "status"),
     [
@@ -160,24 +154,17 @@ def test_an_interrupted_command_leaves_no_process(tmp_path: Path, order: signal.
     ],
 )
 def test_a_run_that_cannot_start_changes_nothing(
-    there: bool,
-    words: tuple[str, ...],
-    domain: str,
-    said: str,
-    status: int,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...], domain: str, said: str, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "out"
-    if there:
-        write_earlier_run(out)
-    before = sorted((str(file), file.read_text()) for file in out.rglob("*") if file.is_file())
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-    done = run("smash", *words, "--out", out)
-    assert done.returncode == status
-    assert said in " ".join(done.stderr.split()) and "Traceback" not in done.stderr
-    assert nodes_of(out) == [] and out.exists() == there
-    assert sorted((str(file), file.read_text()) for file in out.rglob("*") if file.is_file()) == before
+    new, old = tmp_path / "new", tmp_path / "old"
+    write_earlier_run(old)
+    before = files_of(old)
+    for out in (new, old):
+        done = call("smash", *words, "--out", out)
+        assert done.status == status and said in done.text
+        assert nodes_of(out) == []
+    assert not new.exists() and files_of(old) == before
 
 
 def scene_of(mesh: TetGeometry, folder: Path) -> Path:
@@ -222,8 +209,6 @@ def test_a_mesh_with_holes_is_rejected_with_an_explanation(tmp_path: Path) -> No
     file = tmp_path / "open.obj"
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     trimesh.Trimesh(box.vertices, box.faces[2:], process=False).export(file)
-    result = CliRunner().invoke(smash, ["--mesh", str(file), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
-    words = " ".join(result.output.split())
-    assert "edges with only one face: the surface has holes, the first between (" in words
+    done = call("smash", "--mesh", file, "--out", tmp_path / "out")
+    assert done.status == 2 and "edges with only one face: the surface has holes, the first between (" in done.text
     assert not (tmp_path / "out").exists()

@@ -12,27 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
-from matplotlib.image import imread
+from stages.drawn_file import colours_of
 from stages.interrupted_loading import run_code
-from stages.typed_command import begun
+from stages.typed_command import begun, call
 from worlds.scene_of_length import scene_of_length
 
-from fracture_collision.cli.commands import main
 from fracture_collision.cli.scene import RESULTS, parse_settings
 from fracture_collision.process.full_disk import REMEDY
-from fracture_collision.run_report import (
-    PAPER,
-    statistics_table,
-    summaries,
-    times_table,
-)
+from fracture_collision.run_report import PAPER, statistics_table, summaries, times_table
 from fracture_collision.scene_run import SceneRun, StepFigures
-from fracture_collision.simulation.scene.scene import load_scene
-
-
-def call(*words: str | Path) -> Result:
-    return CliRunner().invoke(main, ["scene", *map(str, words)])
+from fracture_collision.simulation.scene.scene import load_scene, scene_names
 
 
 def test_a_full_disk_is_reported_without_a_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,8 +29,8 @@ def test_a_full_disk_is_reported_without_a_traceback(tmp_path: Path, monkeypatch
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(SceneRun, "write_steps", full)
-    done = call("pane", "--steps", "2", "--no-pictures", "--out", tmp_path / "out")
-    assert done.exit_code == 1 and f"Error: No space left on device; {REMEDY}" in done.output
+    done = call("scene", "pane", "--steps", 2, "--no-pictures", "--out", tmp_path / "out")
+    assert done.status == 1 and f"Error: No space left on device; {REMEDY}" in done.text
     assert not (tmp_path / "out").exists()
 
 
@@ -50,8 +39,8 @@ def pane(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     pytest.importorskip("embreex", exc_type=ModuleNotFoundError)
     out = tmp_path_factory.mktemp("pane") / "out"
     before = signal.getsignal(signal.SIGTERM)
-    done = call("pane", "--out", out, "--count-colliding")
-    assert done.exit_code == 0, done.output
+    done = call("scene", "pane", "--out", out, "--count-colliding")
+    assert done.status == 0, done.output
     assert signal.getsignal(signal.SIGTERM) is before
     return out, done.output
 
@@ -67,9 +56,7 @@ def test_a_run_writes_a_report_a_csv_and_two_pictures(pane: tuple[Path, str]) ->
     assert len(rows) == steps and list(rows[0]) == list(StepFigures._fields)
     for name in ("collision_ms", "contacts", "deepest_gap", "missed_depth_bound"):
         assert [float(row[name]) for row in rows] == report[name]
-    for name in ("film_strip.png", "times.png"):
-        picture = imread(out / name)[..., :3]
-        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 50
+    assert colours_of(out / "film_strip.png") > 50 and colours_of(out / "times.png") > 50
     assert all(str(out / file) in said.replace("\n", "") for file in RESULTS)
     assert all(words in said for words in ("tetrahedra", "triangles after", "whole step", "fracture computation"))
 
@@ -99,25 +86,20 @@ def test_times_add_up_and_figures_of_a_run_are_consistent(pane: tuple[Path, str]
 def test_options_are_obeyed_and_results_of_an_earlier_run_removed(tmp_path: Path) -> None:
     for file in RESULTS:
         (tmp_path / file).write_text("of the run before")
-    options = ("--settings", "contacts_per_pair=3,max_work=1000000", "--settings", "penetration_tolerance=0.01")
-    done = call("pane", "--out", tmp_path, "--steps", 7, "--no-pictures", "--seed", 9, "--threads", 2, *options)
-    assert done.exit_code == 0, done.output
+    settings = ("--settings", "contacts_per_pair=3,max_work=1000000", "--settings", "penetration_tolerance=0.01")
+    options = ("--steps", 20, "--no-pictures", "--seed", 9, "--threads", 2, *settings)
+    done = call("scene", "pane", "--out", tmp_path, *options)
+    assert done.status == 0, done.output
     assert sorted(file.name for file in tmp_path.iterdir()) == ["report.json", "steps.csv"]
     report = json.loads((tmp_path / "report.json").read_text())
     settings = report["settings"]
     assert (report["seed"], settings["threads"], settings["contacts_per_pair"]) == (9, 2, 3)
     assert settings["max_work"] == 1_000_000
-    assert settings["penetration_tolerance"] == 0.01 and len(report["step"]) == 7
+    assert settings["penetration_tolerance"] == 0.01 and len(report["step"]) == 20
     assert "colliding_points" not in report
-
-
-def test_curvature_changes_the_run(tmp_path: Path) -> None:
-    triangles = []
-    for curvature in (0, 0.3):
-        done = call("pane", "--out", tmp_path, "--steps", 20, "--no-pictures", "--curvature", curvature)
-        assert done.exit_code == 0, done.output
-        triangles.append(json.loads((tmp_path / "report.json").read_text())["digest"])
-    assert triangles[0] != triangles[1]
+    done = call("scene", "pane", "--out", tmp_path, *options, "--curvature", 0.3)
+    assert done.status == 0, done.output
+    assert json.loads((tmp_path / "report.json").read_text())["digest"] != report["digest"]
 
 
 @pytest.mark.parametrize(
@@ -133,20 +115,13 @@ def test_curvature_changes_the_run(tmp_path: Path) -> None:
         (["pane", "--curvature", "nan"], "curvature: nan is not a number of at least 0"),
         (["pane", "--steps", "0"], "--steps"),
         (["pane", "--seed", "x"], "--seed"),
+        (["pane", "--out", __file__], "is a file"),
         ([], "Missing argument 'NAME'"),
     ],
 )
 def test_invalid_arguments_are_rejected_with_an_explanation(tmp_path: Path, words: list[str], said: str) -> None:
-    done = call(*words, "--out", tmp_path / "out")
-    assert done.exit_code in (1, 2)
-    assert said in " ".join(done.output.split())
-    assert done.exception is None or isinstance(done.exception, SystemExit)
-
-
-def test_an_out_that_is_a_file_is_rejected(tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("")
-    done = call("pane", "--out", tmp_path / "out")
-    assert done.exit_code == 2 and "is a file" in " ".join(done.output.split())
+    done = call("scene", "--out", tmp_path / "out", *words)
+    assert done.status == 2 and said in done.text
 
 
 def test_settings_are_separated_by_commas_or_repeated() -> None:
@@ -155,21 +130,18 @@ def test_settings_are_separated_by_commas_or_repeated() -> None:
     assert given == {"threads": 3, "method": "glondu2014", "max_work": 9}
 
 
-@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_scene_reports_it_and_keeps_the_steps_done(tmp_path: Path, order: signal.Signals) -> None:
+def test_an_interrupted_scene_reports_it_and_keeps_the_steps_done(tmp_path: Path) -> None:
     scene = scene_of_length("pane", 600.0, tmp_path)
     out = tmp_path / "out"
     out.mkdir()
     (out / "report.json").write_text("of the run before")
     with begun(tmp_path, "scene", scene, "--out", out) as process:
         process.until(lambda: "simulating" in process.text)
-        process.stop(order)
-    text = process.text
-    assert "stopped after" in text
+        process.stop(signal.SIGINT)
     report = json.loads((out / "report.json").read_text())
     done = len(report["step"])
     assert 0 < done < 240_000 and not report["finished"]
-    assert f"stopped after {done} of 240000 steps" in text
+    assert f"stopped after {done} of 240000 steps" in process.text
     assert len((out / "steps.csv").read_text().splitlines()) == done + 1
 
 
@@ -236,19 +208,18 @@ def test_tables_show_figures_of_the_paper_where_it_has_any():
     assert all(row.paper_average is None and row.paper_worst is None for row in own)
 
 
-@pytest.mark.parametrize("name", sorted(PAPER))
-def test_every_scene_with_a_figure_in_the_paper_exists(name):
-    assert load_scene(name).name == name
+def test_every_scene_with_a_figure_in_the_paper_exists():
+    assert PAPER.keys() <= set(scene_names())
 
 
 def test_another_engine_runs_a_scene_and_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="no wheels for Python 3.10")
-    done = call("pane", "--steps", "4", "--no-pictures", "--engine", "mujoco", "--out", tmp_path / "out")
-    assert done.exit_code == 0, done.output
+    done = call("scene", "pane", "--steps", 4, "--no-pictures", "--engine", "mujoco", "--out", tmp_path / "out")
+    assert done.status == 0, done.output
     assert json.loads((tmp_path / "out" / "report.json").read_text())["engine"] == "mujoco"
-    done = call("pane", "--engine", "mujco", "--out", tmp_path / "none")
-    assert done.exit_code == 2 and "did you mean mujoco?" in done.output
+    done = call("scene", "pane", "--engine", "mujco", "--out", tmp_path / "none")
+    assert done.status == 2 and "did you mean mujoco?" in done.output
     monkeypatch.setattr("fracture_collision.extras.find_spec", lambda _: None)
     monkeypatch.delitem(sys.modules, "fracture_collision.simulation.mujoco_dynamics")
-    done = call("pane", "--engine", "mujoco", "--out", tmp_path / "none")
-    assert done.exit_code == 2 and "pip install '.[mujoco]'" in done.output
+    done = call("scene", "pane", "--engine", "mujoco", "--out", tmp_path / "none")
+    assert done.status == 2 and "pip install '.[mujoco]'" in done.output

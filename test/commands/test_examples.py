@@ -1,12 +1,14 @@
-"""The examples as a user runs them: each in its own process, beside a real service or with a mesh file."""
+"""The examples as a user runs them: beside a real service or with a mesh file."""
 
 from __future__ import annotations
 
 import re
+import runpy
 import signal
 import subprocess
 import sys
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -26,38 +28,32 @@ def test_the_subscriber_in_the_documents_is_the_example() -> None:
     assert code in (EXAMPLES.parent / "docs" / "ros.md").read_text()
 
 
-@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_the_subscriber_ends_without_a_traceback(tmp_path: Path, order: signal.Signals) -> None:
-    stage = StageWithClients(tmp_path)
-    command = [sys.executable, str(EXAMPLES / "deepest_contact.py")]
-    # with faulthandler, an example that hangs prints its stack on SIGABRT
-    environment = {**loopback_environment(stage.domain_id), "PYTHONFAULTHANDLER": "1"}
-    listener = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+def ended(listener: subprocess.Popen[str], order: signal.Signals) -> str:
+    """What it wrote to stderr; with faulthandler, one that hangs prints its stack on SIGABRT."""
+    listener.send_signal(order)
     try:
-        client = stage.client()
-        client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 2, "the listener")
-        listener.send_signal(order)
-        try:
-            _, said = listener.communicate(timeout=PATIENCE)
-        except subprocess.TimeoutExpired:
-            listener.send_signal(signal.SIGABRT)
-            _, said = listener.communicate(timeout=PATIENCE)
-        assert listener.returncode == 0 and "Traceback" not in said, said
-    finally:
-        listener.kill()
-        stage.close()
+        return listener.communicate(timeout=PATIENCE)[1]
+    except subprocess.TimeoutExpired:
+        listener.send_signal(signal.SIGABRT)
+        return listener.communicate(timeout=PATIENCE)[1]
 
 
-def test_the_example_with_an_own_body_breaks_it(tmp_path: Path) -> None:
-    stage = StageWithClients(tmp_path)
+def test_the_example_with_an_own_body_breaks_it_and_the_subscriber_ends_by_a_signal(
+    stage: StageWithClients, tmp_path: Path
+) -> None:
     environment, heard = loopback_environment(stage.domain_id), tmp_path / "heard.txt"
-    with heard.open("w") as stream:
-        listener = subprocess.Popen([sys.executable, EXAMPLES / "deepest_contact.py"], env=environment, stdout=stream)
+    orders, listeners = (signal.SIGINT, signal.SIGTERM), []
     try:
-        service = stage.start("collision_node", threads=1)
-        client = stage.client()
-        client.await_service()
-        client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 2, "the listener")
+        with heard.open("w") as stream:
+            for _ in orders:
+                listeners.append(
+                    subprocess.Popen(
+                        [sys.executable, EXAMPLES / "deepest_contact.py"], stdout=stream, stderr=subprocess.PIPE,
+                        env=environment | {"PYTHONFAULTHANDLER": "1"}, text=True,
+                    )
+                )  # fmt: skip
+        service, client = stage.served()
+        client.spin_until(lambda: client.node.count_subscribers("contact_constraints") == 3, "the listeners")
         command = [sys.executable, str(EXAMPLES / "break_your_own.py")]
 
         def run_until_heard() -> subprocess.CompletedProcess[str]:
@@ -74,10 +70,12 @@ def test_the_example_with_an_own_body_breaks_it(tmp_path: Path) -> None:
             raise AssertionError(f"the listener printed only {heard.read_text()!r}")
 
         done = run_until_heard()
+        for order, listener in zip(orders, listeners, strict=True):
+            said = ended(listener, order)
+            assert listener.returncode == 0 and "Traceback" not in said, said
     finally:
-        listener.kill()
-        listener.wait()
-        stage.close()
+        for listener in listeners:
+            listener.kill()
     assert "refused" not in service.log_text()
     steps = re.split(r"step \d+, after (\d) fractures:", done.stdout)[1:]
     assert steps[0::2] == ["0", "0", "1"]
@@ -99,17 +97,18 @@ def gaps_by_step(printed: str) -> dict[str, float]:
     return {step: float(gap) for step, gap in re.findall(r"step (\d): fragments \d and \d, gap (\S+) mm", printed)}
 
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "break_a_mesh.py"
+EXAMPLE = EXAMPLES / "break_a_mesh.py"
 
 
 def pairs_of(*arguments: Path) -> dict[tuple[int, int], tuple[int, float, float]]:
     """For each pair printed the number of its contacts, their deepest gap and the bound [mm]."""
-    done = subprocess.run([sys.executable, EXAMPLE, *arguments], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    with redirect_stdout(StringIO()) as printed, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [str(EXAMPLE), *map(str, arguments)])
+        runpy.run_path(str(EXAMPLE), run_name="__main__")
     row = r"fragments (\d+) and (\d+): (\d+) contacts, deepest gap (\S+) mm; unlisted to (\S+) mm"
     return {
         (int(a), int(b)): (int(count), float(gap), float(bound))
-        for a, b, count, gap, bound in re.findall(row, done.stdout)
+        for a, b, count, gap, bound in re.findall(row, printed.getvalue())
     }
 
 
@@ -121,13 +120,10 @@ def assert_broken(pairs: dict[tuple[int, int], tuple[int, float, float]]) -> Non
     assert all(abs(gap) < 1e-3 and bound < 1e-3 for _, gap, bound in between.values())
 
 
-def test_it_breaks_the_mesh_of_the_package_and_a_file(tmp_path: Path) -> None:
+def test_it_breaks_the_mesh_of_the_package_tetrahedra_and_a_surface(tmp_path: Path) -> None:
     assert_broken(pairs_of())
     mesh = ball(50.0, 10.0)
     np.savez(tmp_path / "ball.npz", vertices=mesh.vertices, tetrahedra=mesh.tetrahedra)
     assert_broken(pairs_of(tmp_path / "ball.npz"))
-
-
-def test_it_breaks_a_surface(tmp_path: Path) -> None:
     trimesh.creation.torus(0.5, 0.2).export(tmp_path / "ring.stl")
     assert_broken(pairs_of(tmp_path / "ring.stl"))

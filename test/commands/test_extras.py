@@ -12,26 +12,10 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
+from benchmarks.snippets import blocks
 from fracture_collision.extras import EXTRAS, MissingExtra, need
 
 ROOT = Path(__file__).resolve().parents[2]
-USE = """
-import numpy as np
-from fracture_collision.fracture import voronoi
-from fracture_collision.geometry.generators import brick
-from fracture_collision.world import CollisionBody, CollisionWorld, FragmentStates
-mesh = brick((0.2, 0.1, 0.05), 0.02)
-body = CollisionBody(body_id=1, fragment_id=1, vertices=mesh.vertices, tetrahedra=mesh.tetrahedra, density=2500.0)
-world = CollisionWorld()
-world.add_body(body)
-event = voronoi(body, seeds=3, random=1)
-world.add_fracture(event)
-ids = event.new_fragment_ids
-states = FragmentStates(1, 1, ids, np.zeros((len(ids), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(ids), 1)))
-print(len(world.contacts(states).gaps) > 0)
-"""
-
-
 @pytest.fixture(scope="module")
 def library_alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of modules that has nothing but the package, numpy and numba."""
@@ -53,8 +37,9 @@ def run_with(folder: Path, code: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_library_needs_numpy_and_numba_alone(library_alone: Path) -> None:
-    done = run_with(library_alone, USE)
-    assert done.stdout.strip() == "True", done.stderr
+    code, printed = (block.text for block in blocks(ROOT / "README.md"))
+    done = run_with(library_alone, code)
+    assert done.stdout == printed, done.stderr
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,7 @@ from fracture_collision.msg import FractureEvent as FractureEventMessage
 from worlds.broken_bar import BAR, GROUND, STATES, expected_contacts
 from worlds.gate_world import FIRST, SECOND, SETTINGS, record_bytes
 
-from fracture_collision.records import (
-    SPHERE,
-    CollisionBody,
-    FragmentStates,
-    SolidPrimitive,
-)
+from fracture_collision.records import SPHERE, CollisionBody, FragmentStates, SolidPrimitive
 from fracture_collision.ros.service import collision_run
 from fracture_collision.ros.service.collision_run import CollisionRun
 from fracture_collision.ros.wire.cdr_records import place_in_log, serialize_record
@@ -22,30 +17,26 @@ from fracture_collision.ros.wire.conversion import heading
 from fracture_collision.world import CollisionWorld, InvalidMessage, StatesAhead
 
 
+def ready_run() -> CollisionRun:
+    run = CollisionRun(1, SETTINGS)
+    assert run.add_body(BAR) == [] and run.add_body(GROUND) == []
+    return run
+
+
 def test_an_event_of_an_unknown_body_blocks_nothing() -> None:
-    run = CollisionRun(1, SETTINGS)
-    run.add_body(BAR)
-    run.add_body(GROUND)
-    assert run.add_fracture(FIRST._replace(body_id=77))
-    assert run.add_fracture(FIRST) == []
-    assert run.add_fracture(SECOND) == []
-    assert (run.held_event_count, run.event_count) == (0, 2)
-    assert record_bytes(run.answer(STATES)) == record_bytes(expected_contacts())
-    # Nor does an event with a sequence number that was applied before.
-    (refusal,) = run.add_fracture(SECOND._replace(sequence=1, body_id=77))
-    assert refusal.kind == "sequence_repeat" and run.held_event_count == 0
-
-
-def test_events_after_one_whose_body_is_missing_are_held_and_reported() -> None:
-    run = CollisionRun(1, SETTINGS)
-    run.add_body(BAR)
-    run.add_fracture(FIRST._replace(body_id=77))
+    run = ready_run()
+    (refusal,) = run.add_fracture(FIRST._replace(body_id=77))
+    assert refusal.kind == "unknown_id"
     (refusal,) = run.add_fracture(SECOND)
     assert refusal.kind == "sequence_gap"
     assert refusal.reason == "sequence: event 2 is held: event 1 waits for body 77, which has not arrived"
     assert (run.held_event_count, run.event_count) == (2, 0)
     assert run.add_fracture(FIRST) == []
     assert (run.held_event_count, run.event_count) == (0, 2)
+    assert record_bytes(run.answer(STATES)) == record_bytes(expected_contacts())
+    # Nor does an event with a sequence number that was applied before.
+    (refusal,) = run.add_fracture(SECOND._replace(sequence=1, body_id=77))
+    assert refusal.kind == "sequence_repeat" and run.held_event_count == 0
 
 
 def test_held_messages_are_limited_in_bytes(monkeypatch) -> None:
@@ -61,12 +52,6 @@ def test_held_messages_are_limited_in_bytes(monkeypatch) -> None:
 
 
 BAD = FIRST._replace(nodes=FIRST.nodes[1:])
-
-
-def ready_run() -> CollisionRun:
-    run = CollisionRun(1, SETTINGS)
-    assert run.add_body(BAR) == [] and run.add_body(GROUND) == []
-    return run
 
 
 def rejection(run: CollisionRun) -> str:

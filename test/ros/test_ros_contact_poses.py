@@ -6,7 +6,7 @@ import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
-from stages.ros_stage import StageWithClients
+from stages.ros_client import ServiceClient
 from worlds.broken_bar import STATES, expected_contacts, tell_all
 
 from fracture_collision.cdr import Heading
@@ -74,10 +74,9 @@ def test_z_points_along_the_normal() -> None:
     assert np.allclose(poses[200, 3:], [0.0, 0.0, 0.0, 1.0])
 
 
-def test_the_service_publishes_poses_while_there_is_a_subscriber(stage: StageWithClients) -> None:
-    _, client = stage.served()
-    tell_all(client, 41)
-    client.ask(STATES, 41)  # nobody plots yet
+def test_the_service_publishes_poses_while_there_is_a_subscriber(client: ServiceClient, run_id: int) -> None:
+    tell_all(client, run_id)
+    client.ask(STATES, run_id)  # nobody plots yet
     heard: list[PoseArray] = []
     topic = qos.CONTACT_POSES
     subscription = client.node.create_subscription(PoseArray, topic.name, heard.append, 10)
@@ -85,7 +84,7 @@ def test_the_service_publishes_poses_while_there_is_a_subscriber(stage: StageWit
     step = STATES.step
     while not heard:  # the service matches the subscriber at a time of its own
         step += 1
-        client.ask(STATES._replace(step=step), 41)
+        client.ask(STATES._replace(step=step), run_id)
     expected = expected_contacts()
     assert len(expected.gaps) > 0 and heard[-1].header == client.answers[-1].header
     assert heard[-1] == as_message(contact_poses(expected), Heading(0, 0, "world"))

@@ -63,14 +63,6 @@ def assert_same(a: Any, b: Any) -> None:
             assert mine == other, name
 
 
-def test_record_fields_are_those_of_the_messages() -> None:
-    for topic in qos.TOPICS:
-        record_class = getattr(records, topic.message_class.__name__)
-        assert ["header", "run_id", *sorted(record_class._fields)] == [
-            "header", "run_id", *sorted(set(topic.message_class.get_fields_and_field_types()) - {"header", "run_id"})
-        ]  # fmt: skip
-
-
 def test_stamp_is_exact_to_the_nanosecond() -> None:
     for step in (1, 3, 479, 1_000_001):
         stamp = heading(step * 0.0025)

@@ -11,7 +11,6 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from stages.ros_client import ServiceClient
-from stages.ros_stage import StageWithClients
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 from worlds.broken_bar import BAR, GROUND, STATES
@@ -208,47 +207,45 @@ class Viewer:
         return {number for name, number in self.shown if name == "fragments"}
 
 
-def test_viewers_get_the_complete_scene_whenever_they_join(stage: StageWithClients) -> None:
-    _, client = stage.served()
+def test_viewers_get_the_complete_scene_whenever_they_join(client: ServiceClient, run_id: int) -> None:
     viewer = Viewer(client, DurabilityPolicy.VOLATILE)
     for body in (BAR, GROUND):
-        client.publish("bodies", body, 7)
-    client.ask(whole(1), 7)
+        client.publish("bodies", body, run_id)
+    client.ask(whole(1), run_id)
     client.spin_until(lambda: viewer.fragments() == {1, 2}, "the whole body")
     for event in (FIRST, SECOND):
-        client.publish("fracture_events", event, 7)
-    client.ask(STATES, 7)
+        client.publish("fracture_events", event, run_id)
+    client.ask(STATES, run_id)
     client.spin_until(lambda: viewer.fragments() == {2, 10, 12, 13}, "its fragments")
     late = Viewer(client, DurabilityPolicy.TRANSIENT_LOCAL)  # joins while no states are published
     client.spin_until(lambda: late.shown.keys() == viewer.shown.keys(), "all for a late one")
 
     # a new run: all markers of the first are gone
-    client.publish("bodies", BAR._replace(body_id=5, fragment_id=5), 8)
-    client.ask(whole(1)._replace(fragment_ids=np.array([5])), 8)
+    client.publish("bodies", BAR._replace(body_id=5, fragment_id=5), run_id + 1)
+    client.ask(whole(1)._replace(fragment_ids=np.array([5])), run_id + 1)
     client.spin_until(lambda: viewer.fragments() == late.fragments() == {5}, "the other run")
 
     # a subscriber that joins after all others have left gets the complete scene
     for each in (viewer, late):
         client.node.destroy_subscription(each.subscription)
-    client.ask(whole(2, height=0.3)._replace(fragment_ids=np.array([5])), 8)
+    client.ask(whole(2, height=0.3)._replace(fragment_ids=np.array([5])), run_id + 1)
     again = Viewer(client, DurabilityPolicy.VOLATILE)
     client.spin_until(lambda: again.fragments() == {5}, "all again")
     assert again.shown["fragments", 5].pose.position.z == 0.3
 
 
-def test_nothing_is_published_without_subscribers(stage: StageWithClients) -> None:
+def test_nothing_is_published_without_subscribers(client: ServiceClient, run_id: int) -> None:
     """While there is a subscriber, as many states give several messages."""
-    _, client = stage.served()
     for body in (BAR, GROUND):
-        client.publish("bodies", body, 7)
+        client.publish("bodies", body, run_id)
 
     def ask_for_a_second(first_step: int) -> None:
         for step in range(first_step, first_step + 20):
-            client.ask(whole(step, height=0.3 + 0.01 * step), 7)
+            client.ask(whole(step, height=0.3 + 0.01 * step), run_id)
             pause(client, 0.05)
 
     viewer = Viewer(client, DurabilityPolicy.VOLATILE)
-    client.ask(whole(1), 7)
+    client.ask(whole(1), run_id)
     client.spin_until(lambda: viewer.fragments() == {1, 2}, "the whole body")
     before = len(viewer.sequence_numbers)
     ask_for_a_second(2)

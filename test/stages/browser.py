@@ -93,6 +93,19 @@ def knob(page: Any, label: str) -> Any:
     return row.locator("input:visible").last
 
 
+def camera_of(page: Any) -> np.ndarray:
+    """Where the one browser says its camera is."""
+    (client,) = page._server.get_clients().values()
+    return np.array(client.camera.position)
+
+
+def await_frames(seen: Any) -> None:
+    """Until the browser has drawn ten times."""
+    seen.evaluate("""async () => {
+      for (let i = 0; i < 10; i++) await new Promise(drawn => requestAnimationFrame(drawn));
+    }""")
+
+
 def until(look: Callable[[], Found], good: Callable[[Found], bool], patience: float = PATIENCE) -> Found:
     """Polls `look`, which may take time itself, until `good` accepts its result."""
     end = time.monotonic() + patience

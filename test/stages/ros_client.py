@@ -24,8 +24,11 @@ ASK_AGAIN = 5.0  # [s]
 class ServiceClient:
     """Publishes bodies, events and states; collects answers, registries and diagnostics."""
 
-    def __init__(self, domain_id: int, ros_arguments: Sequence[str] = ()) -> None:
-        """`ros_arguments`: arguments after --ros-args, for namespace and remapping."""
+    def __init__(self, domain_id: int, ros_arguments: Sequence[str] = (), own_runs: bool = False) -> None:
+        """`ros_arguments`: arguments after --ros-args, for namespace and remapping.
+
+        `own_runs`: collects nothing of runs that it does not publish, as of earlier ones of the same service.
+        """
         self._context = own_context(domain_id)
         self.node = rclpy.create_node(
             "service_client", context=self._context, cli_args=["--ros-args", *ros_arguments] if ros_arguments else None
@@ -37,6 +40,7 @@ class ServiceClient:
             for topic in (qos.BODIES, qos.FRACTURE_EVENTS, qos.FRAGMENT_STATES)
         }
         self._parameters: AsyncParameterClient | None = None
+        self._own_runs: set[int] | None = set() if own_runs else None
         self.answers: list[Any] = []
         self.registries: list[Any] = []
         self.diagnostics: dict[str, str] = {}
@@ -48,7 +52,7 @@ class ServiceClient:
             (qos.CONTACT_CONSTRAINTS, qos.EACH_STEP, self.answers), (qos.FRAGMENTS, qos.FRAGMENTS.qos, self.registries)
         ):  # fmt: skip
             self.node.create_subscription(
-                topic.message_class, topic.name, collected.append, qos.recording(profile)
+                topic.message_class, topic.name, self._collecting(collected), qos.recording(profile)
             )
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
@@ -73,6 +77,8 @@ class ServiceClient:
         self.node.destroy_publisher(self._publishers.pop(topic))
 
     def publish(self, topic: str, record: Any, run_id: int, time_stamp: float = 0.0) -> None:
+        if self._own_runs is not None:
+            self._own_runs.add(run_id)
         self._publishers[topic].publish(to_message(record, heading(time_stamp), run_id))
 
     def publish_bytes(self, topic: str, data: bytes) -> None:
@@ -126,6 +132,13 @@ class ServiceClient:
         began = time.monotonic()
         self.spin_until(is_answered, "an answer of the parameter service")
         return next(future.result() for future in futures if future.done())
+
+    def _collecting(self, collected: list[Any]) -> Callable[[Any], None]:
+        def collect(message: Any) -> None:
+            if self._own_runs is None or message.run_id in self._own_runs:
+                collected.append(message)
+
+        return collect
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.diagnostics_came.append(time.monotonic())

@@ -9,6 +9,8 @@ from campaigns.kills.stage import Stage
 from fracture_collision.ros.processes.node_process import NodeProcess
 from stages.ros_client import ServiceClient
 
+LARGEST_MESSAGE = 100_000  # [bytes] that the shared service of test/ros takes
+
 
 class StageWithClients(Stage):
     def __init__(self, folder: Path) -> None:

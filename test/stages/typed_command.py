@@ -1,4 +1,4 @@
-"""`fracture-collision` as typed, in a process of its own. For tests."""
+"""`fracture-collision` as typed, in a process of its own or in this one. For tests."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
+
+from click.testing import CliRunner
+
+from fracture_collision.cli.commands import main
 
 PATIENCE = 240.0  # [s] on a loaded machine
 
@@ -20,6 +25,21 @@ def command(*words: str | Path) -> list[str]:
 
 def run(*words: str | Path, timeout: float = PATIENCE) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command(*words), capture_output=True, text=True, timeout=timeout)
+
+
+class Called(NamedTuple):
+    """What a command has left."""
+
+    status: int
+    output: str  # of both streams, in the order of writing
+    text: str  # the same in one line
+
+
+def call(*words: object) -> Called:
+    """Runs a command in this process, which spares the start of another; it must explain its errors itself."""
+    done = CliRunner().invoke(main, [*map(str, words)])
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.output
+    return Called(done.exit_code, done.output, " ".join(done.output.split()))
 
 
 class Begun:

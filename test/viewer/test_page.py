@@ -175,9 +175,6 @@ def test_bodies_that_arrive_after_their_states_are_placed() -> None:
             page.add_fragment(mesh, 3)
         page.flush()
         assert sorted(page._scene._nodes) == sorted(states[-1].fragment_ids)
-        page.new_run()
-        page.flush()
-        assert not page._scene._nodes
 
 
 def test_a_floor_is_not_drawn_as_a_fragment() -> None:

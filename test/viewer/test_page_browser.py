@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from stages.bag_of_records import write_bag
-from stages.browser import HEIGHT, PATIENCE, WIDTH, knob, opened, picture_of, until
+from stages.browser import HEIGHT, PATIENCE, WIDTH, await_frames, camera_of, knob, opened, picture_of, until
 from worlds.small_run import BREAKS, records_of, show, small_run
 
 from fracture_collision.records import ContactConstraintArray, FragmentMesh, FragmentStates, refusal_of
@@ -109,6 +109,18 @@ def contacts_at(points: np.ndarray) -> ContactConstraintArray:
     )  # fmt: skip
 
 
+def hearing(heard: queue.Queue[tuple[str, Any]]) -> Handlers:
+    """Handlers that put their names and arguments into `heard`."""
+
+    def hear(name: str) -> Any:
+        return lambda *what: heard.put((name, what))
+
+    return Handlers(
+        clicked=hear("clicked"), drag_begun=hear("begun"), drag_moved=hear("moved"), drag_ended=hear("ended"),
+        arrow=hear("arrow"), reset=hear("reset"),
+    )  # fmt: skip
+
+
 def drag_to_the_right(seen: Any, heard: queue.Queue[tuple[str, Any]], eye: np.ndarray) -> None:
     """Drags the brick in the middle of the window, and checks what the page passes on."""
     x, y = WIDTH / 2, HEIGHT / 2
@@ -130,44 +142,10 @@ def drag_to_the_right(seen: Any, heard: queue.Queue[tuple[str, Any]], eye: np.nd
     assert last.ray.direction == pytest.approx(ahead / np.linalg.norm(ahead), abs=1e-3)
 
 
-def camera_of(page: Page) -> np.ndarray:
-    """Where the one browser says its camera is."""
-    (client,) = page._server.get_clients().values()
-    return np.array(client.camera.position)
-
-
-def await_frames(seen: Any) -> None:
-    """Until the browser has drawn ten times."""
-    seen.evaluate("""async () => {
-      for (let i = 0; i < 10; i++) await new Promise(drawn => requestAnimationFrame(drawn));
-    }""")
-
-
-def test_arrow_keys_turn_the_camera_where_no_hammer_has_them(browser: Any) -> None:
-    with Page() as page:
-        page.look_from(AT_THE_OTHER)
-        page.flush()
-        with opened(browser, page.address) as seen:
-            until(lambda: page.browsers, bool)
-            before = camera_of(page)
-            seen.keyboard.down("ArrowUp")
-            await_frames(seen)
-            until(lambda: camera_of(page), lambda now: not np.array_equal(now, before))
-            seen.keyboard.up("ArrowUp")
-
-
 def test_clicks_drags_keys_and_layers_work_in_the_browser(browser: Any) -> None:
     heard: queue.Queue[tuple[str, Any]] = queue.Queue()
-
-    def hear(name: str) -> Any:
-        return lambda *what: heard.put((name, what))
-
-    handlers = Handlers(
-        clicked=hear("clicked"), drag_begun=hear("begun"), drag_moved=hear("moved"), drag_ended=hear("ended"),
-        arrow=hear("arrow"), reset=hear("reset"),
-    )  # fmt: skip
     eye = AT_THE_OTHER.position
-    with Page(handlers, told=frozenset({"contacts"})) as page:
+    with Page(hearing(heard), told=frozenset({"contacts"})) as page:
         page.look_from(AT_THE_OTHER)
         page.cast_shadows(False)
         show(page)
@@ -255,11 +233,7 @@ def test_the_inside_view_works_in_the_browser(browser: Any) -> None:
 @pytest.mark.slow
 def test_a_held_body_that_breaks_stays_in_the_hand(browser: Any) -> None:
     heard: queue.Queue[tuple[str, Any]] = queue.Queue()
-    handlers = Handlers(
-        drag_begun=lambda drag: heard.put(("begun", drag)), drag_moved=lambda drag: heard.put(("moved", drag)),
-        drag_ended=lambda drag: heard.put(("ended", drag)),
-    )  # fmt: skip
-    with Page(handlers) as page:
+    with Page(hearing(heard)) as page:
         page.look_from(Camera(np.array([-0.4, -3.0, 0.6]), np.array([-0.4, 0.0, 0.6]), 0.6))  # at the brick that breaks
         page.cast_shadows(False)
         show(page)
@@ -280,7 +254,7 @@ def test_a_held_body_that_breaks_stays_in_the_hand(browser: Any) -> None:
                 assert heard.get()[0] == "moved"
             until(lambda: picture_of(seen), lambda picture: np.count_nonzero(blue(picture)) > 100)
             seen.mouse.move(x + 60, y - 60, steps=8)
-            name, drag = heard.get(timeout=PATIENCE)
+            name, (drag,) = heard.get(timeout=PATIENCE)
             assert name == "moved" and drag.fragment_id == 3, "the hand still knows it by the id it took"
             until(lambda: picture_of(seen), lambda picture: np.count_nonzero(orange(picture)) > 20)
             seen.mouse.up()

@@ -18,7 +18,7 @@ from fracture_collision.records import FragmentStates
 from fracture_collision.ros.nodes.page_mirror import Mirror
 from fracture_collision.ros.wire.conversion import heading, to_message
 from fracture_collision.viewer.page.page_events import InsideWanted, PlaneWanted
-from fracture_collision.viewer.page.page_inside import InsideView
+from fracture_collision.viewer.page.page_inside import InsideFigures, InsideView
 from fracture_collision.world import Settings
 from fracture_collision.world.inspection import (
     errors_of,
@@ -71,6 +71,12 @@ class Stage(NamedTuple):
     def next_view(self) -> InsideView:
         return self.shown.get(timeout=PATIENCE)
 
+    def next_figures(self) -> InsideFigures:
+        """Skips views from before the answer."""
+        while (figures := self.next_view().figures) is None:
+            pass
+        return figures
+
     def true_errors(self, step: int, settings: Settings = SETTINGS):
         states, epsilon = self.states(step), settings.penetration_tolerance  # ridges too short for it are skipped
         world = with_settings(self.case, TRUE._replace(penetration_tolerance=epsilon))
@@ -118,8 +124,7 @@ def test_an_answer_is_compared_with_all_colliding_samples(stage: Stage) -> None:
     stage.mirror.want(BOTH)
     stage.mirror.hear_times(0.7)
     stage.tell_step(5)
-    while (figures := stage.next_view().figures) is None:  # views from before the answer
-        pass
+    figures = stage.next_figures()
     errors = stage.true_errors(5)
     assert (figures.time, figures.contacts, figures.colliding) == (5.0, errors.listed, errors.colliding)
     assert figures.contacts < figures.colliding
@@ -140,18 +145,17 @@ def test_lookahead_contacts_do_not_count_as_colliding(stage: Stage) -> None:
     stage.mirror.want(BOTH)
     stage.mirror.hear_states(Received(Heading(5, 0, "world"), RUN, states))
     stage.mirror.hear_contacts(answer)
-    while (figures := stage.next_view().figures) is None:  # views from before the answer
-        pass
+    figures = stage.next_figures()
     assert figures.contacts == len(touching.gaps)
     assert figures.colliding == len(every_contact(with_settings(stage.case, TRUE), states).gaps)
 
 
-def test_settings_take_effect_at_once_in_a_paused_scene(stage: Stage) -> None:
-    stage.mirror.want(BOTH)
+def test_a_viewer_joins_a_paused_scene_and_settings_take_effect_at_once(stage: Stage) -> None:
     stage.mirror.hear_paused(True)
-    stage.tell_step(5)
-    while (figures := stage.next_view().figures) is None or figures.is_replayed:
-        pass
+    stage.tell_step(5)  # the answer is not requested
+    stage.mirror.want(BOTH)
+    figures, errors = stage.next_view().figures, stage.true_errors(5)
+    assert figures.is_replayed and (figures.contacts, figures.colliding) == (errors.listed, errors.colliding)
     for changes in (
         {"contacts_per_pair": 32}, {"penetration_tolerance": 0.05}, {"method": "glondu2014"}, {"max_work": 100},
     ):  # fmt: skip
@@ -170,17 +174,6 @@ def test_settings_take_effect_at_once_in_a_paused_scene(stage: Stage) -> None:
     while figures.is_replayed:
         figures = stage.next_view().figures
     assert figures.contacts == stage.true_errors(6, settings).listed
-
-
-def test_a_viewer_that_joins_a_paused_scene_sees_it(stage: Stage) -> None:
-    stage.mirror.hear_paused(True)
-    stage.tell_step(7)  # the answer is not requested
-    stage.mirror.want(BOTH)
-    figures = stage.next_view().figures
-    states = stage.states(7)
-    every = every_contact(with_settings(stage.case, TRUE), states)
-    few = with_settings(stage.case, SETTINGS).contacts(states)
-    assert figures.is_replayed and (figures.contacts, figures.colliding) == (len(few.gaps), len(every.gaps))
 
 
 def test_a_new_run_starts_afresh_and_the_mirror_stops_without_viewers(stage: Stage) -> None:

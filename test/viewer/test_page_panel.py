@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from stages.browser import knob, opened, until
+from stages.browser import await_frames, camera_of, knob, opened, until
 from worlds.small_run import records_of, show
 
 from fracture_collision.records import FragmentMesh
@@ -65,8 +65,11 @@ def test_the_document_has_a_title_and_an_icon_of_its_own(encoding: str) -> None:
     assert unquote(icon).startswith("<svg") and "#265e96" in unquote(icon)
 
 
-def test_the_title_names_the_scene_that_runs(browser: Any) -> None:
-    with Page(ALL, START) as page, opened(browser, page.address) as seen:
+def test_the_title_names_the_scene_settings_have_ranges_and_arrows_turn_the_camera(browser: Any) -> None:
+    """Arrows do so where no hammer has them."""
+    heard: Queue[ServiceSliders] = Queue()
+    handlers = ALL._replace(service_set=heard.put, arrow=None)
+    with Page(handlers, START) as page, opened(browser, page.address) as seen:
         assert seen.title() == "plates - fracture_collision"
         until(lambda: page.browsers, bool)
         page.show_scene("vase")
@@ -74,6 +77,19 @@ def test_the_title_names_the_scene_that_runs(browser: Any) -> None:
         until(lambda: knob(seen, "scene").input_value(), lambda name: name == "vase")
         seen.reload()
         until(seen.title, lambda title: title == "vase - fracture_collision")
+        until(lambda: page.browsers, lambda count: count == 1)
+        before = camera_of(page)
+        seen.keyboard.down("ArrowUp")
+        await_frames(seen)
+        until(lambda: camera_of(page), lambda now: not np.array_equal(now, before))
+        seen.keyboard.up("ArrowUp")
+        knob(seen, "contacts_per_pair").fill("1024")
+        assert heard.get(timeout=60).contacts_per_pair == 1024
+        knob(seen, "contacts_per_pair").fill("2000")
+        knob(seen, "contacts_per_pair").press("Tab")
+        until(lambda: knob(seen, "contacts_per_pair").input_value(), lambda value: value == "1024")
+        knob(seen, "penetration_tolerance").fill("0.3")
+        until(lambda: heard.get(timeout=60), lambda settings: settings.penetration_tolerance == 0.3)
 
 
 def test_the_help_mentions_every_control() -> None:
@@ -90,7 +106,7 @@ def test_the_help_mentions_every_control() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [DESKTOP, pytest.param(PHONE, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("size", [DESKTOP, PHONE])
 def test_the_help_opens_and_closes_in_one_browser(browser: Any, size: tuple[int, int]) -> None:
     with Page(ALL, START) as page:
         begin(page)
@@ -150,18 +166,6 @@ def test_a_robot_has_sliders_and_torques_until_the_next_run(browser: Any) -> Non
         assert heard.get(timeout=60) == ("slide", pytest.approx(0.15))
         page.new_run()
         until(lambda: seen.get_by_text("joint 1").count(), lambda count: not count)
-
-
-def test_settings_have_their_names_and_ranges(browser: Any) -> None:
-    heard: Queue[ServiceSliders] = Queue()
-    with Page(ALL._replace(service_set=heard.put), START) as page, opened(browser, page.address) as seen:
-        knob(seen, "contacts_per_pair").fill("1024")
-        assert heard.get(timeout=60).contacts_per_pair == 1024
-        knob(seen, "contacts_per_pair").fill("2000")
-        knob(seen, "contacts_per_pair").press("Tab")
-        until(lambda: knob(seen, "contacts_per_pair").input_value(), lambda value: value == "1024")
-        knob(seen, "penetration_tolerance").fill("0.3")
-        until(lambda: heard.get(timeout=60), lambda settings: settings.penetration_tolerance == 0.3)
 
 
 def test_the_summary_counts_what_can_break_apart_from_the_rest() -> None:

@@ -23,23 +23,18 @@ def scene(browser: Any, tmp_path: Path) -> Iterator[LivePage]:
         yield made
 
 
-def drawn_plot(page: Any) -> str:
-    """The first plot as drawn."""
-    page.wait_for_selector(".uplot canvas")
-    return page.evaluate("document.querySelector('.uplot canvas').toDataURL()")
+def shown_plots(page: Any) -> list[str]:
+    return page.evaluate("[...document.querySelectorAll('.uplot canvas')].map(each => each.toDataURL())")
 
 
 def test_plates_are_smashed_in_the_browser(browser: Any, scene: LivePage) -> None:
     with opened(browser, scene.address) as page:
         page.get_by_label("shadows").uncheck()  # they dominate the time of a software renderer
         x, y = on_a_plate(page)
-        before = drawn_plot(page)
+        before = until(lambda: shown_plots(page), bool)[0]
         page.mouse.click(x, y)
         scene.until(lambda: scene.status.fragments > PLATES + 5, "a ball and shards")
-        page.reload()  # while shards are flying
-        page.wait_for_selector("canvas")
-        on_a_plate(page)
-        until(lambda: drawn_plot(page), lambda picture: picture != before)
+        until(lambda: shown_plots(page), lambda plots: plots[:1] not in ([], [before]))
 
         run_id = scene.status.run_id
         page.get_by_role("button", name="start over").click()
@@ -70,6 +65,11 @@ def test_plates_are_smashed_in_the_browser(browser: Any, scene: LivePage) -> Non
 def test_two_browsers_show_a_paused_scene(browser: Any, scene: LivePage) -> None:
     with opened(browser, scene.address) as page:
         page.get_by_label("shadows").uncheck()
+        page.mouse.click(*on_a_plate(page))
+        scene.until(lambda: scene.status.fragments > PLATES + 5, "a ball and shards")
+        page.reload()  # while shards are flying
+        page.wait_for_selector("canvas")
+        on_a_plate(page)
         page.get_by_label("pause").check()
         scene.until(lambda: scene.status.paused, "a pause")
         page.reload()
@@ -101,10 +101,6 @@ def unlisted_and_promised(page: Any) -> tuple[float, float]:
     words = page.get_by_text("unlisted penetrations: up to").inner_text()
     found = re.search(r"up to ([\d.]+) mm deep, bound ([\d.]+) mm", words)
     return float(found[1]), float(found[2])
-
-
-def shown_plots(page: Any) -> list[str]:
-    return page.evaluate("[...document.querySelectorAll('.uplot canvas')].map(each => each.toDataURL())")
 
 
 @pytest.mark.slow  # takes minutes with software rendering

@@ -90,7 +90,11 @@ def test_recordings_of_the_page_open_and_replay(scene: LivePage, page: Any, fold
     page.get_by_text("bag_2 is complete").wait_for()
 
 
-def test_sliders_reach_the_service_and_its_answers(scene: LivePage, page: Any) -> None:
+def test_sliders_reach_the_simulator_the_service_and_its_answers(scene: LivePage, page: Any) -> None:
+    knob(page, "slow motion").fill("0.05")
+    scene.until(lambda: scene.status.rate == 0.05 and 0.0 < scene.status.achieved_rate < 0.06, "slow motion")
+    knob(page, "slow motion").fill("1")
+    scene.until(lambda: scene.status.rate == 1.0, "the clock's pace")
     service = AsyncParameterClient(scene.ears.node, "collision_node")
 
     def has(name: str, value: Any) -> None:
@@ -133,13 +137,6 @@ def test_sliders_reach_the_service_and_its_answers(scene: LivePage, page: Any) -
     until(lambda: knob(page, "contacts_per_pair").input_value(), lambda value: value == "5")
     assert scene.ears.set_parameters(contacts_per_pair=8) == [""]
     until(lambda: knob(page, "contacts_per_pair").input_value(), lambda value: value == "8")
-
-
-def test_slow_motion_works_in_the_browser(scene: LivePage, page: Any) -> None:
-    knob(page, "slow motion").fill("0.05")
-    scene.until(lambda: scene.status.rate == 0.05 and 0.0 < scene.status.achieved_rate < 0.06, "slow motion")
-    knob(page, "slow motion").fill("1")
-    scene.until(lambda: scene.status.rate == 1.0, "the clock's pace")
 
 
 def test_a_scene_with_a_robot_is_chosen_and_moved(scene: LivePage, page: Any) -> None:

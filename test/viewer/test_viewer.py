@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from stages.bag_of_records import write_bag
-from worlds.small_run import small_run
+from worlds.small_run import records_of, small_run
 
 from fracture_collision.bag.reader import BagError
 from fracture_collision.records import CollisionBody, FragmentStates
@@ -21,13 +21,6 @@ from fracture_collision.viewer.pictures.ray_picture import Camera, TriangleScene
 WIDTH, HEIGHT = 128, 96
 
 
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("run") / "small"
-    write_bag(folder, small_run(), namespace="/demo")
-    return folder
-
-
 def frames_of(picture: np.ndarray, count: int) -> list[np.ndarray]:
     return [
         picture[GAP + r * (HEIGHT + GAP) :, GAP + c * (WIDTH + GAP) :][:HEIGHT, :WIDTH, :3]
@@ -35,10 +28,10 @@ def frames_of(picture: np.ndarray, count: int) -> list[np.ndarray]:
     ]
 
 
-def test_film_strip_shows_the_run(bag: Path, tmp_path: Path) -> None:
+def test_film_strip_shows_the_run(small_bag: Path, tmp_path: Path) -> None:
     pytest.importorskip("embreex", exc_type=ModuleNotFoundError)
     target = tmp_path / "strip.png"
-    render_film_strip(bag, target, frames=6, width=WIDTH, height=HEIGHT, samples=2)
+    render_film_strip(small_bag, target, frames=6, width=WIDTH, height=HEIGHT, samples=2)
     picture = imread(target)
     assert picture.shape[:2] == (2 * (HEIGHT + GAP) + GAP, 3 * (WIDTH + GAP) + GAP)
     frames = frames_of(picture, 6)
@@ -57,7 +50,7 @@ def test_film_strip_shows_the_run(bag: Path, tmp_path: Path) -> None:
 
     assert pale_blue(frames[-1]) > pale_blue(frames[0])
     again = tmp_path / "again.png"
-    render_film_strip(bag, again, frames=6, width=WIDTH, height=HEIGHT, samples=2)
+    render_film_strip(small_bag, again, frames=6, width=WIDTH, height=HEIGHT, samples=2)
     assert again.read_bytes() == target.read_bytes()
 
 
@@ -76,16 +69,15 @@ def test_pictures_have_light_and_shadow() -> None:
     assert render(empty, camera, 120, 120, np.array([1.0, 0.0, 1.0]), samples=2)[55:65, 43:47].mean() > shade + 20
 
 
-def test_a_run_is_read_as_it_was_written(bag: Path) -> None:
-    run = read_run(bag)
+def test_a_run_is_read_as_it_was_written(small_bag: Path) -> None:
+    run = read_run(small_bag)
     assert sorted(run.bodies) == [1, 2, 3, 4, 5]
     assert [run.body_of[f] for f in (1, 2, 3, 4, 5)] == [1, 2, 3, 4, 5]
     children = [f for f, body in run.body_of.items() if f > 5 and body == 3]
     assert len(children) >= 2 and sorted(run.meshes) == sorted(children)
     assert [s.step for s in run.states] == list(range(60))
     assert run.states[59].time == pytest.approx(1.18)
-    expected = [r for _, r in small_run() if isinstance(r, FragmentStates)]
-    for got, sent in zip(run.states, expected, strict=True):
+    for got, sent in zip(run.states, records_of(FragmentStates), strict=True):
         assert np.array_equal(got.positions, sent.positions)
         assert np.array_equal(got.fragment_ids, sent.fragment_ids)
 
