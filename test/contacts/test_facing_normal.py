@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 import trimesh
-from oracles.convex_cells import distances_to_triangles
+from oracles.brute_force import distances_to_triangles
 from scipy.spatial.transform import Rotation
 from truth.contact_truth import Poses, sample_ids
 from worlds.fractured_worlds import SETTINGS as NEAREST

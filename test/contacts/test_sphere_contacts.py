@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from oracles.convex_cells import distances_to_triangles
+from oracles.brute_force import distances_to_triangles
 from truth.contact_truth import sample_ids
 from worlds.fractured_worlds import fractured_world
 from worlds.gate_world import record_bytes, rigid
