@@ -15,8 +15,7 @@ import pytest
 from oracles.brute_force import owners
 from oracles.fracture_patterns import voronoi_event
 from scipy.spatial.transform import Rotation
-from test_contacts_truth import FRAMES
-from truth.contact_truth import COARSE_SHAPES, ContactTruth, Poses, assert_true, check_pair, pairs_of
+from truth.contact_truth import COARSE_SHAPES, FRAMES, ContactTruth, Poses, assert_true, check_pair, pairs_of
 from worlds.fractured_worlds import DENSITY, FracturedWorld, fractured_world, samples_of, with_settings
 from worlds.hard_worlds import (
     BRICK,
