@@ -41,7 +41,7 @@ from worlds.sampled_worlds import EVERY, SampledWorld
 from fracture_collision.geometry.generators import TetGeometry, ball, brick, plate
 from fracture_collision.geometry.tetrahedra import tetrahedron_volumes
 from fracture_collision.records import FragmentStates
-from fracture_collision.world import CollisionWorld, InvalidMessage, Settings
+from fracture_collision.world import CollisionWorld, Settings
 
 # --- parallel faces at exactly zero gap -------------------------------------------------------------------------------
 
@@ -232,19 +232,6 @@ def test_fragment_of_a_single_node(place: str) -> None:
     assert sorted(np.unique(case.oracle.labels, return_counts=True)[1].tolist())[0] == 1
     assert_geometry(case, snug=False)
     assert assert_contacts(case, ("jittered", "deep")) > 0
-
-
-def test_a_fragment_without_volume_is_rejected() -> None:
-    """All planes of a lone inner node pass through it: the fragment has no volume, and so no centre of mass."""
-    body = brick((2.0, 1.0, 1.0), 0.5)
-    node = int(np.argmin(np.linalg.norm(body.vertices, axis=1)))
-
-    def through_the_node(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
-        normal = (body.vertices[b] - body.vertices[a]) / np.linalg.norm(body.vertices[b] - body.vertices[a])
-        return normal, float(normal @ body.vertices[node])
-
-    with pytest.raises(InvalidMessage, match="has no volume"):
-        broken_world(body, [by_labels(np.arange(len(body.vertices)) == node, through_the_node)])
 
 
 def broken_to_pieces(edge_length: float, seed: int) -> FracturedWorld:

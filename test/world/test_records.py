@@ -11,10 +11,13 @@ from functools import partial
 
 import numpy as np
 import pytest
-from worlds.gate_world import EARLIER, REFERENCE, SECOND, made_world
+from worlds.gate_world import EARLIER, REFERENCE, SECOND, made_world, record_bytes
 
+from fracture_collision import fracture
 from fracture_collision.core.memory.crew import Crew
+from fracture_collision.geometry.generators import brick
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+from fracture_collision.world import CollisionWorld
 
 
 def test_the_length_of_an_answer_is_the_number_of_its_contacts() -> None:
@@ -77,3 +80,40 @@ def test_workers_have_ended_when_an_interrupt_reaches_the_caller(request: pytest
         with pytest.raises(KeyboardInterrupt):
             crew.share(kernel, own=(None, None))
         assert ended == [1]
+
+
+MESH = brick((0.2, 0.1, 0.06), 0.05)
+V, T = MESH.vertices, MESH.tetrahedra
+BODY = CollisionBody(1, 1, vertices=V.ravel(), tetrahedra=T.astype(np.uint32).ravel())
+EVENT = fracture.planes(BODY, (1.0, 0.0, 0.0), 0.01)
+POSES = [[0.0, 0.0, 0.0], [0.0005, 0.0, 0.0]], [[0.0, 0.0, 0.0, 1.0]] * 2
+FLOOR = CollisionBody(9, 90, plane=[0.0, 0.0, 1.0, 0.03], is_static=True)
+
+
+def answer_and_digest(body: CollisionBody, event: FractureEvent, states: FragmentStates):
+    world = CollisionWorld()
+    for each in (body, FLOOR):
+        world.add_body(each)
+    world.add_fracture(event)
+    answer = world.contacts(states)
+    return record_bytes(answer), world.fragments().digest
+
+
+def test_rows_lists_and_other_types_are_the_same_messages() -> None:
+    positions, orientations = map(np.array, POSES)
+    flat = answer_and_digest(
+        BODY, EVENT, FragmentStates(1, 1, np.array([2, 3], np.uint32), positions.ravel(), orientations.ravel())
+    )
+    in_rows = EVENT._replace(cut_edges=EVENT.cut_edges.reshape(-1, 2), cut_planes=EVENT.cut_planes.reshape(-1, 4))
+    as_lists = FractureEvent._make(v.tolist() if isinstance(v, np.ndarray) else v for v in in_rows)
+    rows = BODY._replace(vertices=V, tetrahedra=T)
+    lists = BODY._replace(vertices=V.tolist(), tetrahedra=T.tolist())
+    fortran = BODY._replace(vertices=np.asfortranarray(V), tetrahedra=np.asfortranarray(T.astype(np.int64)))
+    for body in (rows, lists, fortran):
+        for event in (in_rows, as_lists):
+            assert answer_and_digest(body, event, FragmentStates(1, 1, [2, 3], *POSES)) == flat
+    single = BODY._replace(vertices=V.astype(np.float32).astype(np.float64))
+    in_single = rows._replace(vertices=V.astype(np.float32))
+    states = FragmentStates(1, 1, [2, 3], *POSES)
+    assert answer_and_digest(in_single, EVENT, states) == answer_and_digest(single, EVENT, states)
+    assert flat[0] and len(flat[1]) == 64
