@@ -12,6 +12,7 @@ from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settin
 from worlds.hard_worlds import UPRIGHT, block, tetrahedral_body
 from worlds.sampled_worlds import SampledWorld
 
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.core.edges.ridge_contacts import DEEPEST, RIDGES_EACH
 from fracture_collision.core.edges.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
 from fracture_collision.core.edges.ridges import LEAST_LENGTH, LEAST_TURN, LENGTH, OUTWARD, TURN
@@ -58,15 +59,15 @@ def case(request) -> FracturedWorld:
     return fractured_world(COARSE_SHAPES[shape](), 6, 2, curved=curved, settings=EDGES)
 
 
-def rows_of(case: FracturedWorld, fragment: int) -> np.ndarray:
-    ridges, row = case.geometry.searched.edges, case.row(fragment)
+def rows_of(geometry: CollisionGeometry, row: int) -> np.ndarray:
+    ridges = geometry.searched.edges
     return ridges.rows[LEAF * ridges.first[row] : LEAF * ridges.first[row] + ridges.count[row]]
 
 
 def test_ridges_are_the_convex_edges_of_a_surface(case: FracturedWorld) -> None:
     last = max(case.oracle.fragment_ids)  # no neighbour broke since
     triangles, _ = surface_triangles(case.geometry.pools, case.row(last), case.geometry.tet_range(case.row(last)))
-    rows, truth = rows_of(case, last), ridges_by_hand(triangles, 1.0)
+    rows, truth = rows_of(case.geometry, case.row(last)), ridges_by_hand(triangles, 1.0)
     found = {frozenset((tuple(r[:3]), tuple(r[3:6]))): r[TURN] for r in rows.tolist()}
     assert len(found) == len(rows) > 10
     assert found.keys() == truth.keys()
@@ -84,7 +85,7 @@ def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float)
     poses, found = Poses(states), {}
     radius = min(case.geometry.pools.fragment.radius[case.row(f)] for f in (a, b))
     least, near, deepest = MATTERS * EDGES.penetration_tolerance * radius, near * radius, DEEPEST * radius
-    of_a, of_b = rows_of(case, a), rows_of(case, b)
+    of_a, of_b = (rows_of(case.geometry, case.row(f)) for f in (a, b))
 
     def world(f: int, rows: np.ndarray) -> tuple[np.ndarray, ...]:
         ends = [poses.to_world(f, rows[:, k : k + 3]) for k in (0, 3)]
@@ -209,13 +210,8 @@ def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
         world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), size), body_id))
     world.contacts(FragmentStates(1, 0, [1, 2, 3], np.arange(9.0), [UPRIGHT] * 3))
     geometry = world._registry.geometry
-
-    def of(row: int) -> np.ndarray:
-        first = LEAF * geometry.searched.edges.first[row]
-        return geometry.searched.edges.rows[first : first + geometry.searched.edges.count[row]]
-
-    before = of(1).copy(), of(2).copy()
+    before = rows_of(geometry, 1).copy(), rows_of(geometry, 2).copy()
     assert len(before[0]) != len(before[1])
     assert geometry.keep_only(np.array([1, 2])).of(np.array([1, 2])).tolist() == [0, 1]
     for row in (0, 1):
-        np.testing.assert_array_equal(of(row), before[row])
+        np.testing.assert_array_equal(rows_of(geometry, row), before[row])

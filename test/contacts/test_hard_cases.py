@@ -11,7 +11,7 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 from oracles.brute_force import owners
-from oracles.fracture_patterns import voronoi_event
+from oracles.fracture_patterns import own_planes, voronoi_event
 from scipy.spatial.transform import Rotation
 from truth.contact_truth import COARSE_SHAPES, FRAMES, ContactTruth, Poses, assert_true, check_pair, pairs_of
 from worlds.fractured_worlds import DENSITY, FracturedWorld, fractured_world, samples_of, with_settings
@@ -30,7 +30,6 @@ from worlds.hard_worlds import (
     common_plane,
     fragments_with,
     lattice_planes,
-    own_planes,
     samples_within,
     sized,
 )
@@ -165,7 +164,8 @@ def test_planes_that_do_not_agree_still_make_a_partition(kind: str, cells: int, 
     """
     body = brick((2.0, 1.0, 1.0), 0.5)
     labels = np.random.default_rng(seed).integers(0, cells, len(body.vertices))
-    planes = own_planes(body.vertices, cells, 0.7) if kind == "any" else lattice_planes(body.vertices, cells)
+    random = np.random.default_rng(cells)
+    planes = own_planes(body.vertices, random, 0.7) if kind == "any" else lattice_planes(body.vertices, cells)
     case = broken_world(body, [by_labels(labels, planes)])
     assert_geometry(case, snug=False)
     # in place, samples lie on faces whose two sides assign them to different fragments

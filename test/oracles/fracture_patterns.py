@@ -81,21 +81,28 @@ def disagreeing_event(
     tilt: float,
     random: np.random.Generator,
 ) -> FractureEvent:
-    """As `voronoi_event`, but every cut edge has its own plane: tilted at random, at a random place along it.
+    """As `voronoi_event`, but every cut edge has its own plane: `own_planes`."""
+    nearest = _nearest(body.vertices, np.asarray(seeds, dtype=np.float64))
+    return event_of_labels(
+        body, fragment_id, nearest, own_planes(body.vertices, random, tilt), first_new_id, sequence, 1
+    )
 
-    `tilt`: the deviation of the normal from the edge's direction, as a ratio; no two planes agree.
+
+def own_planes(vertices: np.ndarray, random: np.random.Generator, tilt: float) -> CrackPlane:
+    """Each cut edge has its own plane, tilted at random, at a random place along it; no two agree.
+
+    `tilt`: the deviation of the normal from the edge's direction, as a ratio.
     """
 
     def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
-        start, along = body.vertices[a], body.vertices[b] - body.vertices[a]
+        start, along = vertices[a], vertices[b] - vertices[a]
         normal = along / np.linalg.norm(along) + tilt * random.normal(size=3)
         normal /= np.linalg.norm(normal)
         if normal @ along < 0.1 * np.linalg.norm(along):
             normal = along / np.linalg.norm(along)
         return normal, float(normal @ (start + random.uniform(0.02, 0.98) * along))
 
-    seeds = np.asarray(seeds, dtype=np.float64)
-    return event_of_labels(body, fragment_id, _nearest(body.vertices, seeds), plane, first_new_id, sequence, 1)
+    return plane
 
 
 def warp_of(length: float, amplitude: float) -> Callable[[np.ndarray], np.ndarray]:

@@ -79,19 +79,6 @@ def common_plane(normal: np.ndarray, offset: float) -> CrackPlane:
     return plane
 
 
-def own_planes(vertices: np.ndarray, seed: int, tilt: float) -> CrackPlane:
-    """Each cut edge has its own plane, and no two agree. It crosses the edge at a random point, tilted by `tilt`."""
-    random = np.random.default_rng(seed)
-
-    def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
-        along = vertices[b] - vertices[a]
-        normal = along / np.linalg.norm(along) + tilt * random.normal(size=3)
-        normal *= np.sign(normal @ along) / np.linalg.norm(normal)
-        return normal, float(normal @ (vertices[a] + random.uniform() * along))
-
-    return plane
-
-
 def lattice_planes(vertices: np.ndarray, seed: int) -> CrackPlane:
     """Each cut edge of a structured brick has a plane across an axis, through its middle or one of its ends."""
     random = np.random.default_rng(seed)
