@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from itertools import combinations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from truth.contact_truth import COARSE_SHAPES, Poses, pairs_of, sample_ids, surface_samples
-from truth.surface_campaign import PairDepth, campaign
 from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
-from worlds.hard_worlds import tetrahedral_body
-from worlds.rods import EDGE, OVERLAP, answer_of_rods, crossed
+from worlds.hard_worlds import UPRIGHT, block, tetrahedral_body
 from worlds.sampled_worlds import SampledWorld
 
+from fracture_collision.core.bodies.collision_geometry import CollisionGeometry
 from fracture_collision.core.edges.ridge_contacts import DEEPEST, RIDGES_EACH
 from fracture_collision.core.edges.ridge_crossing import BEYOND_FACE, LEAST_SINE, MATTERS
 from fracture_collision.core.edges.ridges import LEAST_LENGTH, LEAST_TURN, LENGTH, OUTWARD, TURN
@@ -21,12 +20,16 @@ from fracture_collision.core.memory.pools import LEAF
 from fracture_collision.core.mesh.sample_numbers import FIRST_OF_RIDGES
 from fracture_collision.core.mesh.surface_triangles import surface_triangles
 from fracture_collision.geometry.generators import brick
-from fracture_collision.records import BOX, CollisionBody, FragmentStates, SolidPrimitive
+from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
 EDGES = Settings(threads=1)
-SHALLOW = 0.05  # [R]
 KINDS = ["box", "tetrahedra", "triangles"]
+# Two rods, edge over edge, far from all of their samples. Turned by 45 degrees about its length, a rod's upper edge is
+# at EDGE.
+ROD = (2.0, 0.1, 0.1)  # [m] edges
+EDGE = 0.05 * np.sqrt(2.0)
+OVERLAP = 0.01  # [m] five times epsilon
 
 
 def normals_of(triangles: np.ndarray) -> np.ndarray:
@@ -56,15 +59,15 @@ def case(request) -> FracturedWorld:
     return fractured_world(COARSE_SHAPES[shape](), 6, 2, curved=curved, settings=EDGES)
 
 
-def rows_of(case: FracturedWorld, fragment: int) -> np.ndarray:
-    ridges, row = case.geometry.searched.edges, case.row(fragment)
+def rows_of(geometry: CollisionGeometry, row: int) -> np.ndarray:
+    ridges = geometry.searched.edges
     return ridges.rows[LEAF * ridges.first[row] : LEAF * ridges.first[row] + ridges.count[row]]
 
 
 def test_ridges_are_the_convex_edges_of_a_surface(case: FracturedWorld) -> None:
     last = max(case.oracle.fragment_ids)  # no neighbour broke since
     triangles, _ = surface_triangles(case.geometry.pools, case.row(last), case.geometry.tet_range(case.row(last)))
-    rows, truth = rows_of(case, last), ridges_by_hand(triangles, 1.0)
+    rows, truth = rows_of(case.geometry, case.row(last)), ridges_by_hand(triangles, 1.0)
     found = {frozenset((tuple(r[:3]), tuple(r[3:6]))): r[TURN] for r in rows.tolist()}
     assert len(found) == len(rows) > 10
     assert found.keys() == truth.keys()
@@ -82,7 +85,7 @@ def crossings_by_hand(case, a: int, b: int, states: FragmentStates, near: float)
     poses, found = Poses(states), {}
     radius = min(case.geometry.pools.fragment.radius[case.row(f)] for f in (a, b))
     least, near, deepest = MATTERS * EDGES.penetration_tolerance * radius, near * radius, DEEPEST * radius
-    of_a, of_b = rows_of(case, a), rows_of(case, b)
+    of_a, of_b = (rows_of(case.geometry, case.row(f)) for f in (a, b))
 
     def world(f: int, rows: np.ndarray) -> tuple[np.ndarray, ...]:
         ends = [poses.to_world(f, rows[:, k : k + 3]) for k in (0, 3)]
@@ -133,6 +136,23 @@ def test_listed_crossings_are_those_of_brute_force(case: FracturedWorld, jitter:
     assert not listed and apart > 20 and overlap > 20
 
 
+def crossed(apart: float, beside: float) -> FragmentStates:
+    """Rod 1 along x, rod 2 along y above it, edge over edge, `apart` [m], crossing `beside` [m] both middles."""
+    along_x = Rotation.from_euler("x", 45.0, degrees=True)
+    along_y = Rotation.from_euler("z", 90.0, degrees=True) * along_x
+    positions = [(0.0, 0.0, 0.0), (beside, -beside, 2.0 * EDGE + apart)]
+    return FragmentStates(1, 0, [1, 2], positions, [along_x.as_quat(), along_y.as_quat()])
+
+
+def answer_of_rods(
+    kind: str, settings: Settings, states: FragmentStates, made: type[CollisionWorld] = CollisionWorld
+) -> ContactConstraintArray:
+    world = made(settings)
+    for body_id in (1, 2):
+        world.add_body(block(kind, body_id, ROD, 0.35))
+    return world.contacts(states)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_crossed_rods_have_a_contact_normal_to_both_edges(kind: str) -> None:
     answer = answer_of_rods(kind, EDGES, crossed(-OVERLAP, 0.011))
@@ -173,11 +193,9 @@ def test_planks_that_cross_flat_hold_each_other_at_their_four_crossings() -> Non
     """There need not be a sample where both outlines cross."""
     world = CollisionWorld(EDGES._replace(contacts_per_pair=100))
     for body_id in (1, 2):
-        world.add_body(CollisionBody(body_id, body_id, primitive=SolidPrimitive(BOX, (2.0, 0.18, 0.06))))
-    turn = np.sqrt(0.5)
-    positions, turns = [0.0, 0.0, 0.0, 0.03, 0.02, 0.0599], [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, turn, turn]
-    states = FragmentStates(1, 0, np.array([1, 2]), np.array(positions), np.array(turns))
-    answer = world.contacts(states)
+        world.add_body(block("box", body_id, (2.0, 0.18, 0.06)))
+    turns = [UPRIGHT, (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))]
+    answer = world.contacts(FragmentStates(1, 0, [1, 2], [(0.0, 0.0, 0.0), (0.03, 0.02, 0.0599)], turns))
     points = answer.points_a.reshape(-1, 3)
     for x in (-0.06, 0.12):
         for y in (-0.09, 0.09):
@@ -186,42 +204,14 @@ def test_planks_that_cross_flat_hold_each_other_at_their_four_crossings() -> Non
     np.testing.assert_allclose(answer.normals.reshape(-1, 3), np.tile([0.0, 0.0, 1.0], (len(points), 1)), atol=1e-12)
 
 
-def counts(judged: Iterable[PairDepth]) -> tuple[int, int]:
-    """Number of missed and of too shallow pairs."""
-    judged = list(judged)
-    return sum(it.is_missed for it in judged), sum(it.is_too_shallow for it in judged)
-
-
-@pytest.mark.slow
-def test_edges_find_most_penetrations_that_samples_miss() -> None:
-    """Except deep penetration in the middle of a body, where the deepest point is on a face."""
-    shapes = {name: COARSE_SHAPES[name] for name in ("brick", "l_block")}
-    sampled, edges = (
-        counts(
-            it
-            for it in campaign(120, 3, shapes, kind)
-            if it.truth < SHALLOW
-        )
-        for kind in (SampledWorld, CollisionWorld)
-    )
-    assert sampled[1] > 10
-    assert edges[0] <= sampled[0] and 2 * edges[1] < sampled[1]
-
-
 def test_ridges_survive_the_removal_of_earlier_bodies() -> None:
     world = CollisionWorld(EDGES)
     for body_id, size in ((1, 0.25), (2, 0.5), (3, 0.25)):
         world.add_body(tetrahedral_body(brick((1.0, 1.0, 0.5), size), body_id))
-    ids, turns = np.array([1, 2, 3]), np.tile([0.0, 0.0, 0.0, 1.0], 3)
-    world.contacts(FragmentStates(1, 0, ids, np.arange(9.0), turns))
+    world.contacts(FragmentStates(1, 0, [1, 2, 3], np.arange(9.0), [UPRIGHT] * 3))
     geometry = world._registry.geometry
-
-    def of(row: int) -> np.ndarray:
-        first = LEAF * geometry.searched.edges.first[row]
-        return geometry.searched.edges.rows[first : first + geometry.searched.edges.count[row]]
-
-    before = of(1).copy(), of(2).copy()
+    before = rows_of(geometry, 1).copy(), rows_of(geometry, 2).copy()
     assert len(before[0]) != len(before[1])
     assert geometry.keep_only(np.array([1, 2])).of(np.array([1, 2])).tolist() == [0, 1]
     for row in (0, 1):
-        np.testing.assert_array_equal(of(row), before[row])
+        np.testing.assert_array_equal(rows_of(geometry, row), before[row])

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 import trimesh
-from oracles.convex_cells import distances_to_triangles
+from oracles.brute_force import distances_to_triangles
 from scipy.spatial.transform import Rotation
 from truth.contact_truth import Poses, sample_ids
 from worlds.fractured_worlds import SETTINGS as NEAREST
@@ -15,6 +15,7 @@ from worlds.fractured_worlds import samples_of
 from worlds.hard_worlds import block
 from worlds.sampled_worlds import EVERY, SampledWorld, in_order
 
+from fracture_collision.geometry.tetrahedra import boundary_triangles
 from fracture_collision.records import FragmentStates
 from fracture_collision.world import CollisionWorld, Settings
 
@@ -35,10 +36,7 @@ class Solid:
         elif kind == "triangles":
             self.mesh = _mesh(self.body.vertices, self.body.triangles.reshape(-1, 3))
         else:
-            tets = self.body.tetrahedra.reshape(-1, 4).astype(np.int64)
-            faces = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
-            _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-            self.mesh = _mesh(self.body.vertices, faces[first[count == 1]])
+            self.mesh = _mesh(self.body.vertices, boundary_triangles(self.body.tetrahedra.reshape(-1, 4)))
         self.kind = kind
 
     def normals(self, samples: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Every contact of a sphere with another surface: against each triangle in turn, and all over the sphere.
+"""Every contact of a sphere with another surface: against each triangle in turn.
 
 The slow twin gets shared corners and edges from the triangles' indices: a nearest point counts if no triangle that
 contains it is nearer to the centre.
@@ -11,14 +11,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from oracles.convex_cells import distances_to_triangles
+from oracles.brute_force import distances_to_triangles
 from truth.contact_truth import sample_ids
 from worlds.fractured_worlds import fractured_world
-from worlds.gate_world import record_bytes, rigid
+from worlds.gate_world import rigid
 from worlds.rigid_shapes import RigidShape, boundary_of, box_of_quads, hollow_box, noisy_ball, torus, true_distance
 
 from fracture_collision.core.search import scratch
-from fracture_collision.geometry.generators import TetGeometry, ball, bowl, geodesic_sphere, l_block, shell
+from fracture_collision.geometry.generators import TetGeometry, ball, bowl, l_block, shell
 from fracture_collision.records import (
     BUDGET_EXHAUSTED,
     SPHERE,
@@ -30,7 +30,6 @@ from fracture_collision.records import (
 from fracture_collision.world import CollisionWorld, Settings
 
 SETTINGS = Settings(threads=1)
-DIRECTIONS = geodesic_sphere(12)[0]
 BALL = 1000
 ROUNDING = 1e-9
 Solid = Callable[[np.ndarray], np.ndarray]  # points (n, 3) to bools: inside
@@ -110,18 +109,6 @@ def assert_same_places(found: np.ndarray, truth: np.ndarray) -> None:
     assert (apart.min(axis=1, initial=np.inf) < 1e-6).all() and (apart.min(axis=0, initial=np.inf) < 1e-6).all()
 
 
-def assert_each_depth_is_behind_a_contact(
-    answer: ContactConstraintArray, shape: RigidShape, center: np.ndarray, radius: float
-) -> None:
-    """Each point of the sphere deeper than the bound is as deep behind some contact's plane (for flat faces)."""
-    points = center + radius * DIRECTIONS
-    depth = -true_distance(shape, points)
-    deep = depth > max(answer.missed_depth_bound.max(initial=0.0), ROUNDING)
-    away = points[deep, None] - answer.points_a.reshape(-1, 3)
-    behind = -(away * answer.normals.reshape(-1, 3)).sum(axis=2)
-    assert deep.any() and (behind.max(axis=1) >= depth[deep] - ROUNDING).all()
-
-
 @pytest.mark.parametrize(
     ("shape", "center", "gaps"),
     [
@@ -138,7 +125,6 @@ def test_each_face_has_its_contact(shape: RigidShape, center, gaps) -> None:
     assert np.allclose(np.sort(answer.gaps), gaps, atol=1e-12)
     assert answer.missed_depth_bound[0] < 1e-9 and answer.status == 0
     assert len(places_of(answer, np.array(center), 0.5)) == len(gaps)
-    assert_each_depth_is_behind_a_contact(answer, shape, np.array(center), 0.5)
 
 
 def assert_places_are_those_of_brute_force(
@@ -290,26 +276,3 @@ def test_contact_ids_do_not_depend_on_other_bodies() -> None:
         answers.append(answer_at(world, (0.3, 0.9, 1.0)))
     assert len(answers[0].gaps) >= 1
     assert answers[0].contact_ids.tolist() == answers[1].contact_ids.tolist()
-
-
-def test_contacts_beyond_the_buffer_are_not_written() -> None:
-    """64 slabs of 1,024 samples fill the buffers of one and of two threads completely; then spheres follow."""
-    slab = box_of_quads(
-        np.linspace(-0.5, 0.5, 32), np.linspace(-0.5, 0.5, 16), np.array([-0.05, 0.05]), np.ones((31, 15, 1), bool)
-    )
-    answers = []
-    for threads in (1, 2, 3):
-        world = CollisionWorld(Settings(threads=threads, contacts_per_pair=1024))
-        world.add_body(CollisionBody(500, 500, plane=np.array([0.0, 0.0, 1.0, 0.0]), is_static=True))
-        for i in range(1, 65):
-            world.add_body(rigid(i, slab))
-        for i in range(65, 75):
-            world.add_body(CollisionBody(i, i, primitive=SolidPrimitive(SPHERE, (0.2,))))
-        positions = np.array([[3.0 * (i % 8), 3.0 * (i // 8), -0.1] for i in range(74)])
-        positions[64:] += [1.5, 30.0, 0.2]
-        answer = world.contacts(
-            FragmentStates(1, 0, np.arange(1, 75), positions.ravel(), np.tile([0.0, 0.0, 0.0, 1.0], 74))
-        )
-        assert len(answer.gaps) == 64 * 1024 + 10
-        answers.append(record_bytes(answer))
-    assert len(set(answers)) == 1

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from oracles.averaged_field import AveragedField
 from oracles.fracture_patterns import disagreeing_event
 from oracles.fragmented_body import ALL_KINDS, FragmentedBody
 from scipy.interpolate import RegularGridInterpolator
-from truth.contact_truth import Poses, pairs_of, sample_ids, surface_samples
+from truth.contact_truth import ContactTruth, Poses, check_pair, pairs_of
 from worlds.fractured_worlds import FracturedWorld, fractured_world, with_settings
 from worlds.hard_worlds import anywhere
 
@@ -32,7 +34,6 @@ SHAPES = {
     "bowl": lambda: bowl(2.0, 0.2, 0.4, 0.6),
 }
 CASES = [(s, c) for s in SHAPES for c in ("flat", "curved")]
-GENERATIONS = 3
 ROUNDING = 1e-12  # of R, which is about 1 m for all shapes here
 
 
@@ -42,91 +43,80 @@ def _irregular(body: TetGeometry, edge: float = 0.4) -> TetGeometry:
     return body._replace(vertices=body.vertices + random.uniform(-0.03 * edge, 0.03 * edge, body.vertices.shape))
 
 
-class Twins:
-    """A world under the averaged field and its slow twin, broken side by side."""
+class Twins(NamedTuple):
+    """A world under the averaged field and its slow twin after the same events, and the field after each of these."""
 
-    def __init__(self, case: FracturedWorld) -> None:
-        body, self.events = case.messages[0][0], case.messages[1]
-        self.oracle = FragmentedBody(body.vertices.reshape(-1, 3), body.tetrahedra.reshape(-1, 4))
-        self.slow = AveragedField(self.oracle)
-        self.world = CollisionWorld(AVERAGED)
-        self.world.add_body(body)
-        self.done = 0
-
-    def break_next(self) -> int:
-        event = self.events[self.done]
-        self.done += 1
-        self.world.add_fracture(event)
-        self.world.contacts(FragmentStates(1, self.done, np.zeros(0, int), np.zeros(0), np.zeros(0)))
-        return self.slow.apply(event)
+    case: FracturedWorld
+    slow: AveragedField
+    fields: list[np.ndarray]  # (nodes, 7) of the world's nodes
+    slow_fields: list[tuple[np.ndarray, np.ndarray]]  # distances and directions of the twin's
+    whole: dict[int, float]  # distances of the twin's before the first event
+    steps: list[int]  # of the fronts
 
     @property
-    def pools(self):
-        return self.world._registry.geometry.pools
+    def interior(self):
+        """The field of the unbroken body."""
+        return self.case.world._ledger.bodies[1].mesh.paper[0].interior[0]
 
-    @property
-    def node_field(self) -> np.ndarray:
-        return self.paper.field.node_field
 
-    @property
-    def paper(self):
-        return self.world.geometry.paper.pools
+def broken_side_by_side(case: FracturedWorld) -> Twins:
+    body, events = case.messages[0][0], case.messages[1]
+    slow, world = AveragedField(FragmentedBody(body.vertices, body.tetrahedra)), CollisionWorld(AVERAGED)
+    twins = Twins(case, slow, [], [], dict(slow.distance), [])
+    world.add_body(body)
+    nodes = range(len(slow.body.vertices))
+    for event in events:
+        world.add_fracture(event)
+        world.contacts(FragmentStates(1, event.sequence, [], [], []))
+        twins.steps.append(slow.apply(event))
+        twins.fields.append(world.geometry.paper.pools.field.node_field.copy())
+        twins.slow_fields.append(
+            (np.array([slow.distance[v] for v in nodes]), np.array([slow.direction[v] for v in nodes]))
+        )
+    return twins
 
 
 def pools_of(case: FracturedWorld) -> tuple[Pools, PaperPools]:
     return case.geometry.pools, case.geometry.paper.pools
 
 
-def _case(shape: str, cracks: str, generations: int = GENERATIONS, seeds: int = 5) -> FracturedWorld:
-    return fractured_world(_irregular(SHAPES[shape]()), seeds, generations, cracks == "curved", AVERAGED)
-
-
-@pytest.fixture(scope="module", params=CASES, ids=["-".join(c) for c in CASES])
-def case(request) -> FracturedWorld:
-    return _case(*request.param)
+@pytest.fixture(scope="module", params=CASES, ids="-".join)
+def twins(request) -> Twins:
+    shape, cracks = request.param
+    body = _irregular(SHAPES[shape]())
+    return broken_side_by_side(fractured_world(body, 5, 3, cracks == "curved", AVERAGED))
 
 
 @pytest.mark.slow
 def test_five_generations_equal_the_slow_twin() -> None:
     """On meshes with enough layers for the fronts to propagate."""
     for body, cracks in ((ball(1.0, 0.25), "flat"), (ball(1.0, 0.25), "curved"), (brick((2.0, 1.4, 1.2), 0.2), "flat")):
-        twins = Twins(fractured_world(_irregular(body, 0.2), 2, 5, cracks == "curved", AVERAGED))
-        steps = []
-        for _ in twins.events:
-            steps.append(twins.break_next())
-            _assert_equal(twins)
-        assert len(steps) == 5 and max(steps) >= 8
+        twins = broken_side_by_side(fractured_world(_irregular(body, 0.2), 2, 5, cracks == "curved", AVERAGED))
+        assert_equal(twins)
+        assert len(twins.steps) == 5 and max(twins.steps) >= 8
 
 
-def _assert_equal(twins: Twins) -> None:
-    nodes = range(len(twins.oracle.vertices))
-    distance = np.array([twins.slow.distance[v] for v in nodes])
-    direction = np.array([twins.slow.direction[v] for v in nodes])
-    assert np.abs(twins.node_field[:, 0] - distance).max() <= ROUNDING
-    assert np.abs(twins.node_field[:, 1:4] - direction).max() <= 1e-9
+def assert_equal(twins: Twins) -> None:
+    for field, (distance, direction) in zip(twins.fields, twins.slow_fields, strict=True):
+        assert np.abs(field[:, 0] - distance).max() <= ROUNDING
+        assert np.abs(field[:, 1:4] - direction).max() <= 1e-9
 
 
-def test_every_generation_equals_the_slow_twin_and_only_lowers_depths_of_what_broke(case: FracturedWorld) -> None:
-    twins = Twins(case)
-    before = None
-    whole = dict(twins.slow.distance)
-    for event in twins.events:
-        twins.break_next()
-        _assert_equal(twins)
-        if before is not None:
-            broken = np.isin(np.arange(len(before)), event.nodes)
-            assert np.array_equal(twins.node_field[~broken, :4], before[~broken, :4])
-            assert (twins.node_field[:, 0] <= before[:, 0]).all()
-        before = twins.node_field.copy()
-        assert (before[:, 0] >= 0.0).all()
-        assert np.allclose(np.linalg.norm(before[:, 1:4], axis=1), 1.0, atol=1e-12)
-    assert any(twins.slow.distance[v] < d for v, d in whole.items())
+def test_every_generation_equals_the_slow_twin_and_only_lowers_depths_of_what_broke(twins: Twins) -> None:
+    assert_equal(twins)
+    for event, before, after in zip(twins.case.messages[1][1:], twins.fields[:-1], twins.fields[1:], strict=True):
+        broken = np.isin(np.arange(len(before)), event.nodes)
+        assert np.array_equal(after[~broken, :4], before[~broken, :4])
+        assert (after[:, 0] <= before[:, 0]).all()
+    for field in twins.fields:
+        assert (field[:, 0] >= 0.0).all()
+        assert np.allclose(np.linalg.norm(field[:, 1:4], axis=1), 1.0, atol=1e-12)
+    assert any(twins.slow.distance[v] < d for v, d in twins.whole.items())
 
 
-def test_the_field_of_a_whole_body_is_exact(case: FracturedWorld) -> None:
+def test_the_field_of_a_whole_body_is_exact(twins: Twins) -> None:
     """Before the first fracture: distances at the nodes and on the grid against brute force, outside negative."""
-    whole = FragmentedBody(case.oracle.vertices, case.oracle.tetrahedra)
-    interior = case.world._ledger.bodies[1].mesh.paper[0].interior[0]
+    whole, interior = FragmentedBody(twins.case.oracle.vertices, twins.case.oracle.tetrahedra), twins.interior
     depth, nearest = whole.depth(1, whole.vertices)
     is_interior = interior.node_field[:, 0] > 0.0
     assert np.abs(interior.node_field[is_interior, 0] - depth[is_interior]).max(initial=0.0) <= ROUNDING
@@ -140,11 +130,8 @@ def test_the_field_of_a_whole_body_is_exact(case: FracturedWorld) -> None:
     assert np.abs(interior.depth[chosen] - expected).max() <= 1e-8 * interior.cell
 
 
-def test_depth_is_eq_1_local_surfaces_and_the_grids_cap(case: FracturedWorld) -> None:
-    twins = Twins(case)
-    for _ in twins.events:
-        twins.break_next()
-    interior = case.world._ledger.bodies[1].mesh.paper[0].interior[0]
+def test_depth_is_eq_1_local_surfaces_and_the_grids_cap(twins: Twins) -> None:
+    case, interior = twins.case, twins.interior
     axes = [interior.origin[d] + interior.cell * np.arange(interior.dims[d]) for d in range(3)]
     cap = RegularGridInterpolator(axes, interior.depth.reshape(interior.dims))
     points = anywhere(case, 200, seed=11)
@@ -172,8 +159,8 @@ def test_depth_is_eq_1_local_surfaces_and_the_grids_cap(case: FracturedWorld) ->
     assert capped > 5 and cut > 5
 
 
-def test_the_certain_depth_is_never_below_the_true_one(case: FracturedWorld) -> None:
-    _assert_certain(case)
+def test_the_certain_depth_is_never_below_the_true_one(twins: Twins) -> None:
+    _assert_certain(twins.case)
 
 
 def _assert_certain(case: FracturedWorld) -> int:
@@ -215,28 +202,21 @@ def test_certain_points_survive_planes_that_agree_on_nothing(shape: str, seed: i
     ("jitter", "most"),
     [(0.02, 0), (0.15, 100), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.02, 100), (0.15, 0)))],
 )
-def test_no_unlisted_sample_is_deeper_than_the_bound(case: FracturedWorld, jitter: float, most: int) -> None:
+def test_no_unlisted_sample_is_deeper_than_the_bound(twins: Twins, jitter: float, most: int) -> None:
+    case = twins.case
     world = with_settings(case, AVERAGED._replace(max_work=most)) if most else case.world
-    states = case.states(jitter, seed=1)
-    answer, poses = world.contacts(states), Poses(states)
+    states, truth = case.states(jitter, seed=1), ContactTruth(case)
+    answer = world.contacts(states)
     assert bool(answer.status & BUDGET_EXHAUSTED) <= bool(most)
-    listed, epsilon = pairs_of(answer), AVERAGED.penetration_tolerance
-    witnesses = {"a": answer.points_a.reshape(-1, 3), "b": answer.points_b.reshape(-1, 3)}
-    normals = answer.normals.reshape(-1, 3)
-    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
-    assert np.allclose(answer.gaps, ((witnesses["b"] - witnesses["a"]) * normals).sum(axis=1), atol=1e-12)
+    listed, poses, epsilon = pairs_of(answer), Poses(states), AVERAGED.penetration_tolerance
+    for pair in combinations(case.oracle.fragment_ids, 2):
+        check = check_pair(truth, poses, answer, pair, listed, epsilon * 1.05)
+        assert check.deepest_unlisted <= check.bound, (pair, check)
     # the witness is the sample moved by the gap along the normal, even off the surface
-    assert np.allclose(witnesses["b"], witnesses["a"] + answer.gaps[:, None] * normals, atol=1e-9)
-    ids = case.oracle.fragment_ids
-    for i, a in enumerate(ids):
-        for b in ids[i + 1 :]:
-            rows, bound = listed.get((a, b), (slice(0, 0), epsilon * 1.05))
-            for own, other in ((a, b), (b, a)):
-                samples, numbers = surface_samples(case, own)
-                points = poses.to_body(other, poses.to_world(own, samples))
-                unlisted = points[~np.isin(sample_ids(own, other, numbers), answer.contact_ids[rows])]
-                if len(unlisted):
-                    assert case.oracle.depth(other, unlisted, ALL_KINDS)[0].max() <= bound
+    normals, apart = answer.normals.reshape(-1, 3), (answer.points_b - answer.points_a).reshape(-1, 3)
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
+    assert np.allclose(answer.gaps, (apart * normals).sum(axis=1), atol=1e-12)
+    assert np.allclose(apart, answer.gaps[:, None] * normals, atol=1e-9)
 
 
 def test_fields_that_are_not_used_are_not_stored() -> None:

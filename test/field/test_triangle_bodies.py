@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracles.fragmented_body import ALL_KINDS
 from scipy.spatial.transform import Rotation
-from truth.contact_truth import sample_ids
+from truth.contact_truth import Poses, pairs_of, sample_ids
 from worlds.fractured_worlds import SETTINGS, fractured_world, samples_of
 from worlds.rigid_shapes import (
     RigidShape,
@@ -133,27 +133,20 @@ def test_fragments_against_a_rigid_body(shape: RigidShape, jitter: float, kind: 
         1, 1, np.append(base.fragment_ids, 500), np.append(base.positions, offset),
         np.append(base.orientations, turn.as_quat()),
     )  # fmt: skip
-    answer = world.contacts(states)
-    epsilon = SETTINGS.penetration_tolerance
-    positions = dict(zip(states.fragment_ids.tolist(), states.positions.reshape(-1, 3), strict=True))
-    rotations = dict(
-        zip(states.fragment_ids.tolist(), Rotation.from_quat(states.orientations.reshape(-1, 4)), strict=True)
-    )
+    answer, poses, epsilon = world.contacts(states), Poses(states), SETTINGS.penetration_tolerance
+    listed = pairs_of(answer)
     depth_in = {
         f: (lambda x, f=f: case.oracle.depth(f, x, ALL_KINDS)[0]) for f in case.oracle.fragment_ids
     }
     depth_in[500] = lambda x: np.maximum(-true_distance(shape, x), 0.0)
     geometry, checked = world._registry.geometry, 0
     for fragment in case.oracle.fragment_ids:
-        pair = np.flatnonzero((answer.fragment_a == fragment) & (answer.fragment_b == 500))
-        rows = slice(answer.pair_begin[pair[0]], answer.pair_begin[pair[0] + 1]) if len(pair) else slice(0, 0)
-        bound = answer.missed_depth_bound[pair[0]] if len(pair) else epsilon
+        rows, bound = listed.get((fragment, 500), (slice(0, 0), epsilon))
         assert bound <= epsilon + 1e-9
         gaps = dict(zip(answer.contact_ids[rows].tolist(), answer.gaps[rows].tolist(), strict=True))
         for own, other in ((fragment, 500), (500, fragment)):
             points, numbers = samples_of(geometry, world._registry.row_of(own))
-            in_world = rotations[own].apply(points) + positions[own]
-            depths = depth_in[other](rotations[other].inv().apply(in_world - positions[other]))
+            depths = depth_in[other](poses.to_body(other, poses.to_world(own, points)))
             for key, depth in zip(sample_ids(own, other, numbers).tolist(), depths, strict=True):
                 if key not in gaps:
                     assert depth <= bound

@@ -72,13 +72,8 @@ def test_equal_arguments_give_equal_events_and_other_numbers_others() -> None:
     generated = fracture.voronoi(body, 8, np.random.default_rng(5), 0.2)
     assert all(np.array_equal(a, b) for a, b in zip(one, generated, strict=True))
     assert not np.array_equal(one.node_fragments, fracture.voronoi(body, 8, 6, 0.2).node_fragments)
-
-
-def test_flat_arrays_and_other_types_give_the_same_event() -> None:
-    mesh = MESHES["ball"]
-    flat = CollisionBody(1, 1, vertices=mesh.vertices.ravel().tolist(), tetrahedra=mesh.tetrahedra.ravel().tolist())
-    one, other = fracture.voronoi(flat, 4, 1), fracture.voronoi(body_of(mesh), 4, 1)
-    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    flat = body._replace(vertices=body.vertices.ravel().tolist(), tetrahedra=body.tetrahedra.ravel().tolist())
+    assert all(np.array_equal(a, b) for a, b in zip(one, fracture.voronoi(flat, 8, 5, 0.2), strict=True))
 
 
 def test_each_node_joins_its_nearest_seed() -> None:

@@ -38,6 +38,7 @@ BODIES = {
     "vase": vase(0.2, 0.008, 0.02),
 }
 LENGTH_ERROR = 1e-6  # of the body's longest side: single precision, and triangles thinner than this
+READ_BACK = 3  # fragments a body
 WHITE = Paint((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), 0.0)
 
 
@@ -66,11 +67,13 @@ def test_surfaces_are_closed_and_read_back(shape: str, curved: bool, tmp_path: P
     size, outside = float(np.ptp(body.vertices, axis=0).max()), 0.0
     masses = masses_of(broken.world, 2)
     assert len(masses) > 7
-    for fragment_id, mass in masses.items():
+    for count, (fragment_id, mass) in enumerate(masses.items()):
         surface, is_crack = surface_of(broken.world, fragment_id)
         assert surface.is_watertight and surface.is_winding_consistent
         assert abs(surface.volume - mass / DENSITY) < LENGTH_ERROR * size * surface.area
         outside += surface.area_faces[~is_crack].sum()
+        if count >= READ_BACK:
+            continue
         surface.export(tmp_path / "fragment.stl")
         shown = mesh_of_fragment(broken.world.fragment_mesh(fragment_id))
         (tmp_path / "fragment.glb").write_bytes(glb_of_mesh(shown, WHITE))

@@ -6,7 +6,7 @@ import numpy as np
 
 from fracture_collision.geometry.tetrahedra import EDGE_VERTICES, boundary_triangles
 from fracture_collision.records import FractureEvent
-from oracles.convex_cells import nearest_on_triangles
+from oracles.brute_force import nearest_on_triangles
 from oracles.fragmented_body import FragmentedBody
 
 SHORTER = 1e-12  # of R: a smaller reduction is rounding

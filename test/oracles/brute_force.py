@@ -9,13 +9,16 @@ tetrahedron the owner is that of the best of its 24 parts.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from oracles.fragmented_body import NO_VOLUME, FragmentedBody
+if TYPE_CHECKING:
+    from oracles.fragmented_body import FragmentedBody
 
+# Parts below this share of their tetrahedron hold no point.
+NO_VOLUME = 1e-15
 # For a point this close to a face, in barycentric weight, the tetrahedron on either side may decide.
 SHARED = 1e-9
 # Thinner triangles (area against squared length) have no usable normal; their rims represent them.
@@ -143,45 +146,79 @@ def _owners(body, points):
     return found, certain
 
 
-@njit(cache=True)
-def _segment(x, y, z, p, q):
-    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    length = dx * dx + dy * dy + dz * dz
-    s = 0.0
-    if length > 0.0:
-        s = min(max(((x - p[0]) * dx + (y - p[1]) * dy + (z - p[2]) * dz) / length, 0.0), 1.0)
-    return (x - p[0] - s * dx) ** 2 + (y - p[1] - s * dy) ** 2 + (z - p[2] - s * dz) ** 2
-
-
-@njit(cache=True)
-def _triangle(x, y, z, a, b, c):
-    """Squared distance [m2]: to the rim, and to the plane if the foot of the perpendicular is inside all sides."""
-    best = min(_segment(x, y, z, a, b), _segment(x, y, z, b, c), _segment(x, y, z, c, a))
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    area = nx * nx + ny * ny + nz * nz
-    longest = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
-    if area <= (THIN * longest) ** 2:
-        return best
-    height = (x - a[0]) * nx + (y - a[1]) * ny + (z - a[2]) * nz
-    for side in range(3):
-        p, q = (a, b) if side == 0 else (b, c) if side == 1 else (c, a)
-        dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-        fx, fy, fz = x - p[0], y - p[1], z - p[2]  # the foot differs along n only, which has no part in (d x f) . n
-        if (dy * fz - dz * fy) * nx + (dz * fx - dx * fz) * ny + (dx * fy - dy * fx) * nz < 0.0:
-            return best
-    return min(best, height * height / area)
-
-
 def distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Distance (n,) [m] of each point (n, 3) to the nearest of all triangles (t, 3, 3); infinity without any."""
-    return _distances(np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(triangles))
+    return nearest_on_triangles(points, triangles)[0]
+
+
+def nearest_on_triangles(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (n,) [m] and nearest point (n, 3) from each point to a set of triangles (t, 3, 3), over all of them."""
+    return _nearest(*(np.ascontiguousarray(part, dtype=np.float64) for part in (points, triangles)))
+
+
+def distances_to_triangles(x: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of one point (3,): its distance (t,) from, and the nearest point (t, 3) of, each triangle (t, 3, 3)."""
+    return _of_each(*(np.ascontiguousarray(part, dtype=np.float64) for part in (x, triangles)))
 
 
 @njit(cache=True)
-def _distances(points, triangles):
-    result = np.empty(len(points))
+def _less(p, q):
+    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
+
+
+@njit(cache=True)
+def _plus(p, share, along):
+    return p[0] + share * along[0], p[1] + share * along[1], p[2] + share * along[2]
+
+
+@njit(cache=True)
+def _dot(u, v):
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+@njit(cache=True)
+def _cross(u, v):
+    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+
+
+@njit(cache=True, error_model="numpy")
+def _on_triangle(x, a, b, c):
+    """Squared distance [m2] and nearest point: on the rim, or the foot in the plane if that is inside all sides."""
+    u, v = _less(b, a), _less(c, a)
+    normal = _cross(u, v)
+    best, nearest = np.inf, a
+    if _dot(normal, normal) > (THIN * max(_dot(u, u), _dot(v, v))) ** 2:
+        foot = _plus(x, -_dot(_less(x, a), normal) / _dot(normal, normal), normal)
+        is_within = True
+        for p, q in ((a, b), (b, c), (c, a)):
+            is_within &= _dot(_cross(_less(q, p), _less(foot, p)), normal) >= 0.0
+        if is_within:
+            best, nearest = _dot(_less(foot, x), _less(foot, x)), foot
+    for p, q in ((a, b), (b, c), (c, a)):
+        along = _less(q, p)
+        length = _dot(along, along)
+        share = min(max(_dot(_less(x, p), along) / length, 0.0), 1.0) if length > 0.0 else 0.0
+        foot = _plus(p, share, along)
+        away = _dot(_less(foot, x), _less(foot, x))
+        if away < best:
+            best, nearest = away, foot
+    return best, nearest
+
+
+@njit(cache=True)
+def _of_each(point, triangles):
+    distance, nearest = np.empty(len(triangles)), np.empty((len(triangles), 3))
+    for t in range(len(triangles)):
+        (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = triangles[t]
+        away, foot = _on_triangle((point[0], point[1], point[2]), (a0, a1, a2), (b0, b1, b2), (c0, c1, c2))
+        distance[t] = np.sqrt(away)
+        nearest[t, 0], nearest[t, 1], nearest[t, 2] = foot
+    return distance, nearest
+
+
+@njit(cache=True)
+def _nearest(points, triangles):
+    distance, nearest = np.empty(len(points)), np.zeros((len(points), 3))
     low, high = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
     for t in range(len(triangles)):
         for k in range(3):
@@ -195,6 +232,10 @@ def _distances(points, triangles):
             dy = max(low[t, 1] - y, 0.0, y - high[t, 1])
             dz = max(low[t, 2] - z, 0.0, z - high[t, 2])
             if dx * dx + dy * dy + dz * dz < best:
-                best = min(best, _triangle(x, y, z, triangles[t, 0], triangles[t, 1], triangles[t, 2]))
-        result[n] = np.sqrt(best)
-    return result
+                (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = triangles[t]
+                away, foot = _on_triangle((x, y, z), (a0, a1, a2), (b0, b1, b2), (c0, c1, c2))
+                if away < best:
+                    best = away
+                    nearest[n, 0], nearest[n, 1], nearest[n, 2] = foot
+        distance[n] = np.sqrt(best)
+    return distance, nearest

@@ -1,4 +1,4 @@
-"""Convex polyhedra as lists of labelled faces: clipping by half-spaces, volume moments, nearest points.
+"""Convex polyhedra as lists of labelled faces: clipping by half-spaces, volume moments.
 
 No tolerance enters a clip: a point is inside, outside or exactly on the plane by the sign of its computed value, and
 the two sides of one plane get exactly opposite values. Two complementary clips therefore divide a polyhedron without
@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 
 class Face(NamedTuple):
@@ -108,64 +107,3 @@ def moments(cell: list[Face]) -> tuple[float, np.ndarray, np.ndarray]:
             first += v * total / 4.0
             second += v / 20.0 * (corners.T @ corners + np.outer(total, total))
     return volume, first, second
-
-
-def nearest_on_triangles(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (n,) and nearest point (n, 3) from each point to a set of triangles (t, 3, 3), over all of them."""
-    best = np.full(len(points), np.inf)
-    nearest = np.zeros((len(points), 3))
-    for i, x in enumerate(points):
-        distance, feet = distances_to_triangles(x, triangles)
-        k = int(np.argmin(distance))
-        best[i], nearest[i] = distance[k], feet[k]
-    return best, nearest
-
-
-def distances_to_triangles(x: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of one point (3,): its distance (t,) from, and the nearest point (t, 3) of, each triangle (t, 3, 3)."""
-    return _distances(*(np.ascontiguousarray(part, dtype=np.float64) for part in (x, triangles)))
-
-
-@njit(cache=True)
-def _less(p, q):
-    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
-
-
-@njit(cache=True)
-def _plus(p, share, along):
-    return p[0] + share * along[0], p[1] + share * along[1], p[2] + share * along[2]
-
-
-@njit(cache=True)
-def _dot(u, v):
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-
-
-@njit(cache=True)
-def _cross(u, v):
-    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-
-
-@njit(cache=True, error_model="numpy")
-def _distances(point, triangles):
-    distance, nearest = np.full(len(triangles), np.inf), np.empty((len(triangles), 3))
-    x = point[0], point[1], point[2]
-    for t in range(len(triangles)):
-        (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = triangles[t]
-        a, b, c = (a0, a1, a2), (b0, b1, b2), (c0, c1, c2)
-        normal = _cross(_less(b, a), _less(c, a))
-        foot = _plus(x, -_dot(_less(x, a), normal) / _dot(normal, normal), normal)
-        is_within = True
-        for p, q in ((a, b), (b, c), (c, a)):
-            is_within &= _dot(_cross(_less(q, p), _less(foot, p)), normal) >= 0.0
-        if is_within:
-            distance[t] = np.sqrt(_dot(_less(foot, x), _less(foot, x)))
-            nearest[t, 0], nearest[t, 1], nearest[t, 2] = foot
-        for p, q in ((a, b), (b, c), (c, a)):
-            along = _less(q, p)
-            foot = _plus(p, min(max(_dot(_less(x, p), along) / _dot(along, along), 0.0), 1.0), along)
-            away = np.sqrt(_dot(_less(foot, x), _less(foot, x)))
-            if away < distance[t]:
-                distance[t] = away
-                nearest[t, 0], nearest[t, 1], nearest[t, 2] = foot
-    return distance, nearest

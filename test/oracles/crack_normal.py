@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fracture_collision.geometry.tetrahedra import EDGE_VERTICES
-from oracles.convex_cells import distances_to_triangles
+from oracles.brute_force import distances_to_triangles
 from oracles.fragmented_body import FragmentedBody, SurfacePolygon
 
 TIMES_NEAREST = 3.0

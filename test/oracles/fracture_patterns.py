@@ -49,26 +49,33 @@ def curved_event(
     length = np.ptp(body.vertices, axis=0).max()
     warp = warp_of(length, amplitude)
     warped_seeds = warp(np.asarray(seeds, dtype=np.float64))
+    nearest = _nearest(warp(body.vertices), warped_seeds)
+
+    def level(x: np.ndarray, i: np.ndarray | int, j: np.ndarray | int) -> np.ndarray:
+        """Negative in cell i, positive in cell j."""
+        w = warp(x)
+        return np.sum((w - warped_seeds[i]) ** 2, axis=-1) - np.sum((w - warped_seeds[j]) ** 2, axis=-1)
+
+    ends = body.edges[(body.labels[body.edges] == fragment_id).all(axis=1)]
+    ends = ends[nearest[ends[:, 0]] != nearest[ends[:, 1]]]
+    start, along = body.vertices[ends[:, 0]], body.vertices[ends[:, 1]] - body.vertices[ends[:, 0]]
+    low, high = np.zeros((len(ends), 1)), np.ones((len(ends), 1))
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        is_before = level(start + middle * along, *nearest[ends].T)[:, None] < 0.0
+        low, high = np.where(is_before, middle, low), np.where(is_before, high, middle)
+    places = start + np.clip(0.5 * (low + high), 0.02, 0.98) * along
+    crossings = dict(zip(map(tuple, ends.tolist()), places, strict=True))
 
     def tangent(a: int, b: int, i: int, j: int) -> tuple[np.ndarray, float]:
-        def level(x: np.ndarray) -> np.ndarray:  # negative in cell i, positive in cell j
-            w = warp(x)
-            return np.sum((w - warped_seeds[i]) ** 2, axis=-1) - np.sum((w - warped_seeds[j]) ** 2, axis=-1)
-
-        start, along = body.vertices[a], body.vertices[b] - body.vertices[a]
-        low, high = 0.0, 1.0
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if level(start + middle * along) < 0.0 else (low, middle)
-        crossing = start + np.clip(0.5 * (low + high), 0.02, 0.98) * along
+        along, crossing = body.vertices[b] - body.vertices[a], crossings[a, b]
         step = 1e-5 * length * np.eye(3)
-        gradient = level(crossing + step) - level(crossing - step)
+        gradient = level(crossing + step, i, j) - level(crossing - step, i, j)
         normal = gradient / np.linalg.norm(gradient)
         if normal @ along < 0.1 * np.linalg.norm(along):  # the crack grazes the edge, or crosses it more than once
             normal = along / np.linalg.norm(along)
         return normal, float(normal @ crossing)
 
-    nearest = _nearest(warp(body.vertices), warped_seeds)
     return event_of_labels(body, fragment_id, nearest, tangent, first_new_id, sequence, body_id)
 
 
@@ -81,21 +88,28 @@ def disagreeing_event(
     tilt: float,
     random: np.random.Generator,
 ) -> FractureEvent:
-    """As `voronoi_event`, but every cut edge has its own plane: tilted at random, at a random place along it.
+    """As `voronoi_event`, but every cut edge has its own plane: `own_planes`."""
+    nearest = _nearest(body.vertices, np.asarray(seeds, dtype=np.float64))
+    return event_of_labels(
+        body, fragment_id, nearest, own_planes(body.vertices, random, tilt), first_new_id, sequence, 1
+    )
 
-    `tilt`: the deviation of the normal from the edge's direction, as a ratio; no two planes agree.
+
+def own_planes(vertices: np.ndarray, random: np.random.Generator, tilt: float) -> CrackPlane:
+    """Each cut edge has its own plane, tilted at random, at a random place along it; no two agree.
+
+    `tilt`: the deviation of the normal from the edge's direction, as a ratio.
     """
 
     def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
-        start, along = body.vertices[a], body.vertices[b] - body.vertices[a]
+        start, along = vertices[a], vertices[b] - vertices[a]
         normal = along / np.linalg.norm(along) + tilt * random.normal(size=3)
         normal /= np.linalg.norm(normal)
         if normal @ along < 0.1 * np.linalg.norm(along):
             normal = along / np.linalg.norm(along)
         return normal, float(normal @ (start + random.uniform(0.02, 0.98) * along))
 
-    seeds = np.asarray(seeds, dtype=np.float64)
-    return event_of_labels(body, fragment_id, _nearest(body.vertices, seeds), plane, first_new_id, sequence, 1)
+    return plane
 
 
 def warp_of(length: float, amplitude: float) -> Callable[[np.ndarray], np.ndarray]:

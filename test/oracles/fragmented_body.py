@@ -23,7 +23,8 @@ from fracture_collision.geometry.tetrahedra import (
     unique_edges,
 )
 from fracture_collision.records import FractureEvent
-from oracles.convex_cells import area_vector, nearest_on_triangles
+from oracles.brute_force import NO_VOLUME, Partition, nearest_on_triangles, owners, partition_of
+from oracles.convex_cells import area_vector
 from oracles.crack_surface import EDGE_BETWEEN, CrackSurface, Cuts, crack_surface
 
 ORIGINAL = "original"  # part of the unbroken body's boundary
@@ -32,9 +33,6 @@ ALL_KINDS = (ORIGINAL, CRACK)
 
 # Polygons below this share of their tetrahedron's longest edge squared are rounding, and border on real ones.
 NO_AREA = 1e-14
-# Parts below this share of their tetrahedron hold no point.
-NO_VOLUME = 1e-15
-
 
 # The parts of a tetrahedron: their node, the edge's other node, the edge, the face (by the node opposite), and whether
 # node, edge, face and hub are positively oriented in this order.
@@ -103,7 +101,8 @@ class FragmentedBody:
             raise ValueError(f"nodes: not those of fragment {event.fragment_id}")
         self._polygon_cache.clear()
         self._surface_cache.clear()
-        self.__dict__.pop("parts", None)
+        for kept in ("parts", "partition"):
+            self.__dict__.pop(kept, None)
         self._event_count += 1
         self.labels[nodes] = np.asarray(event.new_fragment_ids, dtype=np.int64)[event.node_fragments]
         cut = np.asarray(event.cut_edges, dtype=np.int64).reshape(-1, 2)
@@ -152,24 +151,14 @@ class FragmentedBody:
             result[i] = best if depth[best] >= -1e-13 else -1
         return result
 
+    @cached_property
+    def partition(self) -> Partition:
+        """The present parts, for the search of owners."""
+        return partition_of(self)
+
     def owner(self, points: np.ndarray) -> np.ndarray:
         """The fragment that each point (n, 3) belongs to, 0 outside the body."""
-        tets = self.locate(points)
-        owners = np.zeros(len(points), dtype=np.int64)
-        owners[tets >= 0] = self.owner_in(tets[tets >= 0], points[tets >= 0])
-        return owners
-
-    def owner_in(self, tetrahedra: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """The fragment (n,) that each point (n, 3) belongs to, according to its containing tetrahedron (n,)."""
-        owners = self.labels[self.tetrahedra[tetrahedra, 0]]
-        cut = np.flatnonzero(self.parts.row[tetrahedra] >= 0)
-        row, x = self.parts.row[tetrahedra[cut]], np.column_stack((points[cut], np.ones(len(cut))))
-        weights = np.einsum("nx,nxw->nw", x, self._to_barycentric[tetrahedra[cut]])
-        least = np.einsum("nw,npwv->npv", weights, self.parts.to_part[row]).min(axis=2)
-        least[self.parts.share[row] <= NO_VOLUME] = -np.inf
-        holds_best = least == least.max(axis=1, keepdims=True)
-        owners[cut] = np.where(holds_best, self.parts.labels[row], np.iinfo(np.int64).max).min(axis=1)
-        return owners
+        return owners(self.partition, points)[0]
 
     def surface_polygons(self, fragment_id: int, kinds: tuple[str, ...] = ALL_KINDS) -> list[SurfacePolygon]:
         """The exact boundary of the fragment's region, in triangles, in the order of the tetrahedra."""

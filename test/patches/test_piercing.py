@@ -1,4 +1,4 @@
-"""Where surfaces pierce each other, against all pairs of triangles; the least translation, against least squares."""
+"""Where surfaces pierce each other, against all pairs of triangles; the least translation, by its dual."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 from oracles.pierced_triangles import all_pierced
-from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
+from benchmarks.peers.judging.least_translation import least_translation as slow_translation
 from fracture_collision.core.patches.facing_points import Posed
 from fracture_collision.core.patches.least_translation import least_translation
 from fracture_collision.core.patches.piercing import do_listed_pierce, do_pierce, overlaps_of, pierced_pairs
@@ -83,14 +83,6 @@ def test_a_needle_through_a_plate_leaves_no_area() -> None:
     needle = posed(trimesh.creation.cylinder(0.01, 1.2, sections=8), None, (0.2, 0.1, 0.05))
     overlaps = overlaps_of(plate, needle, pierced_pairs(plate, needle, ALONG))
     assert len(overlaps.areas) == 1 and np.linalg.norm(overlaps.areas[0]) < 0.05 * overlaps.spreads[0]
-
-
-def slow_translation(normals: np.ndarray, needs: np.ndarray) -> np.ndarray:
-    """Lawson & Hanson 1974, chapter 23: least distance programming by its dual."""
-    system, target = np.vstack((normals.T, needs)), np.array([0.0, 0.0, 0.0, 1.0])
-    weights, _ = nnls(system, target)
-    residual = system @ weights - target
-    return -residual[:3] / residual[3]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -11,7 +11,6 @@ from worlds.hard_worlds import tetrahedral_body
 from worlds.sampled_worlds import ForgetfulWorld
 from worlds.thrown_fragments import AHEAD, CASES, SETTINGS, later, rows_of, thrown, thrown_case, with_others
 
-from fracture_collision.core.search import passes
 from fracture_collision.geometry.generators import brick
 from fracture_collision.lockstep import Lockstep
 from fracture_collision.records import SPHERE, CollisionBody, FractureEvent, FragmentStates, SolidPrimitive
@@ -170,15 +169,6 @@ def test_a_rod_that_touches_with_one_end_gets_contacts_at_the_other(degrees: flo
     # the lower edge of the other end is 0.1 sin 20 above the point of impact
     far = listed.gaps[listed.gaps > 1e-3]
     assert (len(far) > 0) == hits and (not hits or abs(far.max() - 0.1 * np.sin(np.radians(20.0))) < 2e-3)
-
-
-def test_the_answer_does_not_depend_on_buffer_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pair that does not fit in the buffer is searched again, and again for its lookahead contacts."""
-    worlds = [CollisionWorld(SETTINGS) for _ in range(2)]
-    enough = worlds[0].contacts(rod_on_one_end(worlds[0], 40.0))
-    monkeypatch.setattr(passes, "FIRST_ROOM", 1)
-    monkeypatch.setattr(passes, "LEAST_ROOM", 1)
-    assert_same_bytes(enough, worlds[1].contacts(rod_on_one_end(worlds[1], 40.0)))
 
 
 def test_invalid_lookahead_and_velocities_are_rejected() -> None:

@@ -1,4 +1,4 @@
-"""Records behave as their readers expect of Python objects."""
+"""Records behave as their readers expect of Python objects, and take any array that has the numbers."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from functools import partial
 
 import numpy as np
 import pytest
-from worlds.gate_world import EARLIER, REFERENCE, SECOND, made_world
+from numba.core import event
+from worlds.gate_world import EARLIER, REFERENCE, SECOND, made_world, record_bytes
 
+from fracture_collision import fracture
 from fracture_collision.core.memory.crew import Crew
+from fracture_collision.geometry.generators import brick
 from fracture_collision.records import CollisionBody, ContactConstraintArray, FractureEvent, FragmentStates
+from fracture_collision.world import CollisionWorld
 
 
 def test_the_length_of_an_answer_is_the_number_of_its_contacts() -> None:
@@ -77,3 +81,84 @@ def test_workers_have_ended_when_an_interrupt_reaches_the_caller(request: pytest
         with pytest.raises(KeyboardInterrupt):
             crew.share(kernel, own=(None, None))
         assert ended == [1]
+
+
+MESH = brick((0.2, 0.1, 0.06), 0.05)
+V, T = MESH.vertices, MESH.tetrahedra
+BODY = CollisionBody(1, 1, vertices=V.ravel(), tetrahedra=T.astype(np.uint32).ravel())
+EVENT = fracture.planes(BODY, (1.0, 0.0, 0.0), 0.01)
+POSES = [[0.0, 0.0, 0.0], [0.0005, 0.0, 0.0]], [[0.0, 0.0, 0.0, 1.0]] * 2
+FLOOR = CollisionBody(9, 90, plane=[0.0, 0.0, 1.0, 0.03], is_static=True)
+
+
+def answer_and_digest(body: CollisionBody, event: FractureEvent, states: FragmentStates):
+    world = CollisionWorld()
+    for each in (body, FLOOR):
+        world.add_body(each)
+    world.add_fracture(event)
+    answer = world.contacts(states)
+    return record_bytes(answer), world.fragments().digest
+
+
+def test_rows_lists_and_other_types_are_the_same_messages() -> None:
+    positions, orientations = map(np.array, POSES)
+    flat = answer_and_digest(
+        BODY, EVENT, FragmentStates(1, 1, np.array([2, 3], np.uint32), positions.ravel(), orientations.ravel())
+    )
+    in_rows = EVENT._replace(cut_edges=EVENT.cut_edges.reshape(-1, 2), cut_planes=EVENT.cut_planes.reshape(-1, 4))
+    as_lists = FractureEvent._make(v.tolist() if isinstance(v, np.ndarray) else v for v in in_rows)
+    rows = BODY._replace(vertices=V, tetrahedra=T)
+    lists = BODY._replace(vertices=V.tolist(), tetrahedra=T.tolist())
+    fortran = BODY._replace(vertices=np.asfortranarray(V), tetrahedra=np.asfortranarray(T.astype(np.int64)))
+    for body in (rows, lists, fortran):
+        for fields in (in_rows, as_lists):
+            assert answer_and_digest(body, fields, FragmentStates(1, 1, [2, 3], *POSES)) == flat
+    single = BODY._replace(vertices=V.astype(np.float32).astype(np.float64))
+    in_single = rows._replace(vertices=V.astype(np.float32))
+    states = FragmentStates(1, 1, [2, 3], *POSES)
+    assert answer_and_digest(in_single, EVENT, states) == answer_and_digest(single, EVENT, states)
+    assert flat[0] and len(flat[1]) == 64
+
+
+def writeable(array: np.ndarray) -> np.ndarray:
+    return np.array(array)
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """As from rosbags, jax, or a memory map."""
+    copy = np.array(array)
+    copy.setflags(write=False)
+    return copy
+
+
+def unaligned(array: np.ndarray) -> np.ndarray:
+    """As from a message's bytes at any offset."""
+    array = np.ascontiguousarray(array)
+    return np.frombuffer(bytearray(b"x" + array.tobytes()), np.uint8)[1:].view(array.dtype).reshape(array.shape)
+
+
+def answer(kind) -> list[np.ndarray]:
+    mesh = brick((1.0, 1.0, 1.0), 0.5)
+    body = CollisionBody(1, 1, vertices=kind(mesh.vertices), tetrahedra=kind(mesh.tetrahedra))
+    faces = kind(np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], np.uint32))
+    rigid = CollisionBody(2, 8, vertices=kind(mesh.vertices[[0, 1, 3, 9]]), triangles=faces)
+    crack = fracture.planes(body, [(0.0, 0.0, 1.0)], [0.1])
+    world = CollisionWorld()
+    for each in (body, rigid, body._replace(body_id=3, fragment_id=9)):
+        world.add_body(each)
+    world.add_fracture(type(crack)(*(kind(field) if isinstance(field, np.ndarray) else field for field in crack)))
+    states = FragmentStates(
+        1, 1, kind(np.array([2, 3, 8, 9], np.uint32)), kind(np.linspace(0.0, 0.5, 12)),
+        kind(np.tile([0.0, 0.0, 0.0, 1.0], 4)), kind(np.zeros(12)), kind(np.zeros(12)),
+    )  # fmt: skip
+    return [np.asarray(field) for field in world.contacts(states)]
+
+
+@pytest.mark.parametrize("kind", [read_only, unaligned])
+def test_such_arrays_compile_nothing(kind) -> None:
+    expected = answer(writeable)
+    with event.install_recorder("numba:compile") as compiled:
+        given = answer(kind)
+    assert not compiled.buffer
+    for one, other in zip(given, expected, strict=True):
+        assert one.tobytes() == other.tobytes()

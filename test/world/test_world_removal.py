@@ -159,7 +159,7 @@ def test_added_and_removed_balls_leave_no_memory(monkeypatch: pytest.MonkeyPatch
     world = CollisionWorld(SETTINGS)
     world.add_body(tetrahedral(1))
     sizes = []
-    for number in range(10, 600):
+    for number in range(10, 300):
         world.add_body(box(number) if number % 2 else breakable(number))
         world.add_body(removal(number - 1)) if number > 10 else None
         world.fragments()

@@ -1,6 +1,6 @@
-"""Every rule of the protocol broken once: the message, the kind of rejection, and a required part of its text.
+"""Every rule of the protocol broken once: the message, the kind of rejection, and a pattern of its text.
 
-The messages fit the world of gate_world.
+The messages fit the world of gate_world. campaigns.bad_input breaks each rule in each field.
 """
 
 from __future__ import annotations
@@ -30,10 +30,9 @@ from worlds.gate_world import (
 )
 from worlds.rigid_shapes import RigidShape, cube, hollow_box, together
 
-NAN, INF = np.nan, np.inf
+NAN = np.nan
 
 FLAT_BRICK = with_entry(BRICK.vertices.ravel(), slice(2, None, 3), 0.0)
-INVERTED = with_entry(TET.tetrahedra, slice(0, 2), TET.tetrahedra[1::-1])
 TWO_BRICKS = TET._replace(
     vertices=np.append(TET.vertices, TET.vertices + 5.0),
     tetrahedra=np.append(TET.tetrahedra, TET.tetrahedra + len(BRICK.vertices)),
@@ -54,72 +53,91 @@ def corner_to_corner() -> RigidShape:
 
 
 BODIES = {
-    "operation": (TET._replace(operation=2), "out_of_range", "operation"),
-    "body id negative": (TET._replace(body_id=-1), "out_of_range", "body_id"),
-    "body id too large": (TET._replace(body_id=2**32), "out_of_range", "body_id"),
-    "body id no integer": (TET._replace(body_id=1.5), "wrong_type", "body_id"),
-    "body id taken": (TET._replace(body_id=1), "doubled", "body_id"),
+    "operation": (TET._replace(operation=2), "out_of_range", r"operation: 2 is neither ADD \(0\) nor REMOVE \(1\)"),
+    "body id too large": (TET._replace(body_id=2**32), "out_of_range", "body_id: 4294967296 is not in 0 "),
+    "body id no integer": (TET._replace(body_id=1.5), "wrong_type", "body_id: float instead of an integer"),
     "body redelivered with other content": (tetrahedral(1, friction=0.4), "doubled", "body_id"),
-    "fragment id taken": (TET._replace(fragment_id=3), "doubled", "fragment_id"),
+    "fragment id taken": (
+        TET._replace(fragment_id=3), "doubled", "fragment_id: fragment 3 already exists .* those above 11 are free"
+    ),
     "fragment id retired": (TET._replace(fragment_id=1), "doubled", "fragment_id"),
-    "fragment id of a piece": (TET._replace(fragment_id=11), "doubled", "fragment_id"),
-    "fragment id no integer": (TET._replace(fragment_id=True), "wrong_type", "fragment_id"),
     "name too long": (TET._replace(name="x" * 257), "limit_exceeded", "name"),
-    "name no string": (TET._replace(name=None), "wrong_type", "name"),
-    "static no boolean": (TET._replace(is_static="yes"), "wrong_type", "is_static"),
-    "vertices transposed": (TET._replace(vertices=BRICK.vertices.T), "size_mismatch", "vertices: shape (3, "),
-    "nothing": (CollisionBody(20, 20), "no_shape", "primitive, plane, vertices: "),
-    "two shapes": (sphere(20, plane=plane(2).plane, is_static=True), "no_shape", "primitive, plane, vertices: "),
-    "mesh and primitive": (TET._replace(primitive=sphere(1).primitive), "no_shape", "primitive, plane, vertices: "),
+    "name no string": (TET._replace(name=None), "wrong_type", "name: NoneType instead of a string"),
+    "static no boolean": (TET._replace(is_static=1), "wrong_type", "is_static: int instead of true or false"),
+    "vertices transposed": (
+        TET._replace(vertices=BRICK.vertices.T), "size_mismatch",
+        r"vertices: shape \(3, 45\); pass shape \(n, 3\), or the same numbers flat",
+    ),
+    "nothing": (CollisionBody(20, 20), "no_shape", "primitive, plane, vertices: .* this one has none"),
+    "two shapes": (
+        TET._replace(plane=(0, 0, 1, 0), is_static=True), "no_shape",
+        "primitive, plane, vertices: .* this one has plane and vertices",
+    ),
     "vertices alone": (CollisionBody(20, 20, vertices=np.arange(9.0)), "no_shape", "tetrahedra, triangles: "),
-    "no vertices": (TET._replace(vertices=np.zeros(0)), "out_of_range", "tetrahedra"),
     "primitive type": (sphere(20, primitive=SolidPrimitive(5, (1.0,))), "out_of_range", "primitive.type"),
-    "primitive missing": (sphere(20, primitive=None), "wrong_type", "primitive"),
     "sphere of no size": (sphere(20, primitive=SolidPrimitive(SPHERE, (0.0,))), "out_of_range", "primitive.dimensions"),
-    "sphere of three": (sphere(20, primitive=SolidPrimitive(SPHERE, (1.0, 1.0, 1.0))), "size_mismatch", "dimensions"),
-    "box of two": (box(20, primitive=SolidPrimitive(BOX, (1.0, 1.0))), "size_mismatch", "primitive.dimensions"),
-    "box negative": (box(20, primitive=SolidPrimitive(BOX, (1.0, -1.0, 1.0))), "out_of_range", "primitive.dimensions"),
-    "box nan": (box(20, primitive=SolidPrimitive(BOX, (1.0, NAN, 1.0))), "not_finite", "primitive.dimensions"),
-    "box too large": (box(20, primitive=SolidPrimitive(BOX, (1e10, 1.0, 1.0))), "out_of_range", "dimensions"),
+    "box of two": (
+        box(20, primitive=SolidPrimitive(BOX, (1.0, 1.0))), "size_mismatch",
+        "primitive.dimensions: 2 numbers, not 3, the lengths of the edges",
+    ),
     "plane of three": (plane(20, plane=np.ones(3)), "size_mismatch", "plane"),
     "plane without normal": (plane(20, plane=np.array([0.0, 0.0, 0.0, 1.0])), "out_of_range", "plane"),
-    "plane infinite": (plane(20, plane=np.array([0.0, 0.0, INF, 1.0])), "not_finite", "plane"),
     "plane out of sight": (plane(20, plane=np.array([0.0, 0.0, 1e-9, 10.0])), "out_of_range", "plane"),
     "plane that moves": (plane(20, is_static=False), "out_of_range", "is_static"),
     "density zero": (TET._replace(density=0.0), "out_of_range", "density"),
     "density nan": (TET._replace(density=NAN), "not_finite", "density"),
-    "density huge": (TET._replace(density=1e300), "out_of_range", "density"),
-    "density no number": (TET._replace(density="heavy"), "wrong_type", "density"),
-    "friction negative": (TET._replace(friction=-0.1), "out_of_range", "friction"),
-    "friction infinite": (TET._replace(friction=INF), "not_finite", "friction"),
-    "restitution above one": (TET._replace(restitution=1.01), "out_of_range", "restitution"),
-    "vertices not in threes": (TET._replace(vertices=TET.vertices[:-1]), "size_mismatch", "vertices"),
+    "density no number": (TET._replace(density="heavy"), "wrong_type", "density: str instead of a number"),
+    "vertices not in threes": (
+        TET._replace(vertices=TET.vertices[:-1]), "size_mismatch", "vertices: 134 numbers are not a multiple of 3"
+    ),
     "vertices nan": (TET._replace(vertices=with_entry(TET.vertices, 4, NAN)), "not_finite", "vertices: entry 4"),
     "vertices too far": (TET._replace(vertices=with_entry(TET.vertices, 4, 2e9)), "out_of_range", "vertices: entry 4"),
-    "vertices text": (TET._replace(vertices=["a", "b", "c"]), "wrong_type", "vertices"),
-    "vertices ragged": (TET._replace(vertices=[[0.0, 1.0], [2.0]]), "wrong_type", "vertices"),
-    "body tiny": (TET._replace(vertices=1e-8 * TET.vertices), "out_of_range", "vertices"),
-    "vertex unused": (TET._replace(vertices=np.append(TET.vertices, [9.0, 9.0, 9.0])), "bad_mesh", "vertices: vertex"),
-    "tetrahedra not in fours": (TET._replace(tetrahedra=TET.tetrahedra[:-1]), "size_mismatch", "tetrahedra"),
-    "tetrahedra out of range": (
-        TET._replace(tetrahedra=with_entry(TET.tetrahedra, 5, len(BRICK.vertices))), "out_of_range", "tetrahedra: index"
+    "vertices none": (
+        TET._replace(vertices=None), "wrong_type", "vertices: object instead of numbers; pass an array of float64"
     ),
-    "tetrahedra negative": (TET._replace(tetrahedra=with_entry(TET.tetrahedra, 5, -1)), "out_of_range", "tetrahedra"),
-    "tetrahedra of floats": (TET._replace(tetrahedra=TET.tetrahedra * 1.0), "wrong_type", "tetrahedra"),
-    "tetrahedra flat": (TET._replace(vertices=FLAT_BRICK), "bad_mesh", "tetrahedron 0 is flat"),
-    "tetrahedron inverted": (TET._replace(tetrahedra=INVERTED), "bad_mesh", "tetrahedron 0 is inverted"),
+    "vertices ragged": (
+        TET._replace(vertices=[[0.0, 1.0], [2.0]]), "wrong_type",
+        "vertices: not an array of numbers; pass a numpy array, or a list without gaps",
+    ),
+    "body tiny": (
+        TET._replace(vertices=1e-8 * TET.vertices), "out_of_range",
+        "vertices: the body is smaller than 1e-06 m; lengths are in metres",
+    ),
+    "vertex unused": (
+        TET._replace(vertices=np.append(TET.vertices, [9.0, 9.0, 9.0])), "bad_mesh",
+        r"vertices: vertex 45 belongs to no tetrahedron \(1 of 46 do not\); leave out unused .*numpy.unique",
+    ),
+    "tetrahedra counted from 1": (
+        TET._replace(tetrahedra=TET.tetrahedra + 1), "out_of_range",
+        "tetrahedra: index 45 .* is not below 45 vertices; the indices seem to start at 1: subtract 1",
+    ),
+    "tetrahedra negative": (
+        TET._replace(tetrahedra=with_entry(TET.tetrahedra, 5, -1)), "out_of_range",
+        r"tetrahedra: index -1 \(entry 5\) is negative$",
+    ),
+    "tetrahedra of floats": (
+        TET._replace(tetrahedra=TET.tetrahedra * 1.0), "wrong_type",
+        r"tetrahedra: float64 instead of integers; convert it, as by .astype\(numpy.uint32\)",
+    ),
+    "tetrahedra flat": (
+        TET._replace(vertices=FLAT_BRICK), "bad_mesh",
+        r"tetrahedra: tetrahedron \d+ is flat .*; leave it out, or mesh the body again",
+    ),
+    "tetrahedra inverted": (
+        TET._replace(tetrahedra=TET.tetrahedra.reshape(-1, 4)[:, [1, 0, 2, 3]]), "bad_mesh",
+        "tetrahedra: tetrahedron 0 is inverted .*; 96 of 96 are; exchange two corners of each",
+    ),
     "tetrahedron twice": (
-        TET._replace(tetrahedra=np.append(TET.tetrahedra, [TET.tetrahedra[:4]] * 2)), "bad_mesh", "tetrahedra: the face"
+        TET._replace(tetrahedra=np.append(TET.tetrahedra, TET.tetrahedra[:4])), "bad_mesh",
+        r"tetrahedra: the face \d+-\d+-\d+ belongs to 3 tetrahedra, not 1 or 2; some overlap",
     ),
     "tetrahedra folded over a face": (
         CollisionBody(20, 20, vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.2, 0.2, 0.5]]),
                       tetrahedra=np.array([[0, 1, 2, 3], [0, 1, 2, 4]])),
-        "bad_mesh", "tetrahedra 0 and 1 lie on the same side of their face 0-1-2",
+        "bad_mesh", "tetrahedra 0 and 1 lie on the same side of their face 0-1-2, so they overlap .*move a vertex",
     ),
     "tetrahedra in two pieces": (TWO_BRICKS, "bad_mesh", "tetrahedra: the mesh falls into 2"),
     "triangles of another mesh": (TET._replace(triangles=np.array([0, 1, 2])), "bad_mesh", "triangles"),
-    "triangles out of range": (TRI._replace(triangles=with_entry(TRI.triangles, 0, 8)), "out_of_range", "triangles"),
-    "triangles not in threes": (TRI._replace(triangles=TRI.triangles[:-1]), "size_mismatch", "triangles"),
     "open surface": (OPEN_CUBE, "bad_mesh", "belongs to one triangle"),
     "edge of three triangles": (
         TRI._replace(
@@ -142,7 +160,6 @@ BODIES = {
         "bad_mesh",
         "no cavity",
     ),
-    "sequence negative": (TET._replace(sequence=-1), "out_of_range", "sequence"),
     "remove unknown": (CollisionBody(99, 99, operation=REMOVE), "unknown_id", "body_id"),
 }  # fmt: skip
 
@@ -159,7 +176,6 @@ OUTERMOST = crack(2, 11, (12, 13), 0.4, above=0.1)  # the layer of nodes at x = 
 UNCUT = EDGES[np.flatnonzero((X[EDGES] > 0.3).all(axis=1))[0]]
 NO_EDGE = np.array([int(np.argmax(X)), int(np.argmin(X))])
 STRANGER = int(np.argmin(X))  # a node of fragment 10
-TURNED = np.concatenate([CUTS[:1, ::-1], CUTS[1:]]).ravel()
 # the middle layer is one piece, so that the layers beside it are one label in two places
 MIDDLE_LAYER = (BRICK.vertices[SECOND.nodes, 1] == 0.0).astype(np.int64)
 
@@ -167,70 +183,61 @@ ALONG = plane_along(*BRICK.vertices[CUTS[0]])
 
 EVENTS = {
     "sequence gap": (SECOND._replace(sequence=3), "sequence_gap", "sequence: event 3 does not follow event 1"),
-    "sequence zero": (SECOND._replace(sequence=0), "sequence_gap", "sequence"),
-    "sequence no integer": (SECOND._replace(sequence=2.0), "wrong_type", "sequence"),
-    "sequence repeated": (SECOND._replace(sequence=1), "sequence_repeat", "event 1 already"),
     "event repeated with another plane": (crack(1, 1, (10, 11), 0.11), "sequence_repeat", "event 1 already"),
     "body unknown": (SECOND._replace(body_id=9), "unknown_id", "body_id"),
     "body cannot break": (SECOND._replace(body_id=4, fragment_id=4), "rigid_body", "body_id"),
-    "plane cannot break": (SECOND._replace(body_id=2, fragment_id=2), "rigid_body", "body_id"),
     "fragment unknown": (SECOND._replace(fragment_id=77), "unknown_id", "fragment_id"),
-    "fragment of another body": (SECOND._replace(fragment_id=3), "unknown_id", "fragment_id"),
     "fragment retired": (SECOND._replace(fragment_id=1), "retired_id", "fragment_id"),
-    "one piece": (SECOND._replace(new_fragment_ids=np.array([12])), "size_mismatch", "new_fragment_ids"),
-    "no pieces": (SECOND._replace(new_fragment_ids=np.zeros(0, np.uint32)), "size_mismatch", "new_fragment_ids"),
-    "new id twice": (SECOND._replace(new_fragment_ids=np.array([12, 12])), "doubled", "new_fragment_ids"),
-    "new id taken": (SECOND._replace(new_fragment_ids=np.array([12, 3])), "doubled", "new_fragment_ids"),
-    "new id retired": (SECOND._replace(new_fragment_ids=np.array([12, 1])), "doubled", "new_fragment_ids"),
-    "new id too large": (SECOND._replace(new_fragment_ids=np.array([12, 2**32])), "out_of_range", "new_fragment_ids"),
+    "one piece": (
+        SECOND._replace(new_fragment_ids=np.array([12])), "size_mismatch",
+        "new_fragment_ids: 1 of them; a fracture makes at least 2",
+    ),
+    "new id twice": (
+        SECOND._replace(new_fragment_ids=np.array([12, 12])), "doubled",
+        "new_fragment_ids: 12 occurs more than once; list each once",
+    ),
+    "new id taken": (
+        SECOND._replace(new_fragment_ids=np.array([12, 3])), "doubled",
+        "new_fragment_ids: fragment 3 already exists .* those above 11 are free",
+    ),
     "more pieces than a run may have": (
         SECOND._replace(new_fragment_ids=np.arange(1000, 102_000)), "limit_exceeded", "new_fragment_ids"
     ),
     "node missing": (
-        SECOND._replace(nodes=SECOND.nodes[1:], node_fragments=SECOND.node_fragments[1:]), "wrong_nodes", "nodes"
+        SECOND._replace(nodes=SECOND.nodes[1:], node_fragments=SECOND.node_fragments[1:]), "wrong_nodes",
+        "nodes: 17 of the 18 nodes of fragment 11; list all",
     ),
-    "node twice": (SECOND._replace(nodes=with_entry(SECOND.nodes, 0, SECOND.nodes[1])), "doubled", "nodes"),
     "node of another fragment": (
         SECOND._replace(nodes=with_entry(SECOND.nodes, 0, STRANGER)), "wrong_nodes", f"nodes: node {STRANGER}"
     ),
-    "node out of range": (
-        SECOND._replace(nodes=with_entry(SECOND.nodes, 0, len(X))), "out_of_range", "nodes: index"
-    ),
-    "no nodes": (
-        SECOND._replace(nodes=np.zeros(0, int), node_fragments=np.zeros(0, int)), "wrong_nodes", "nodes: 0 of"
-    ),
     "label missing": (SECOND._replace(node_fragments=SECOND.node_fragments[1:]), "size_mismatch", "node_fragments"),
-    "label out of range": (
-        SECOND._replace(node_fragments=with_entry(SECOND.node_fragments, 0, 2)), "out_of_range", "node_fragments"
-    ),
     "piece without node": (
-        SECOND._replace(node_fragments=np.zeros(len(SECOND.nodes), int)), "empty_fragment", "node_fragments"
+        SECOND._replace(node_fragments=np.zeros(len(SECOND.nodes), int)), "empty_fragment",
+        "node_fragments: fragment 13 has no node: index 1 of new_fragment_ids does not occur",
     ),
-    "third piece without node": (
-        SECOND._replace(new_fragment_ids=np.array([12, 13, 14])), "empty_fragment", "fragment 14"
+    "piece in two": (
+        SECOND._replace(node_fragments=MIDDLE_LAYER), "disconnected",
+        "node_fragments: fragment 12 falls into pieces .*make each a fragment, as fracture_collision.fracture",
     ),
-    "piece in two": (SECOND._replace(node_fragments=MIDDLE_LAYER), "disconnected", "node_fragments: fragment 12"),
-    "cut edges odd": (SECOND._replace(cut_edges=SECOND.cut_edges[1:]), "size_mismatch", "cut_edges"),
     "cut edge no edge": (SECOND._replace(cut_edges=np.append(NO_EDGE, CUTS[1:])), "no_edge", "cut_edges"),
-    "cut edge to itself": (SECOND._replace(cut_edges=np.append([5, 5], CUTS[1:])), "no_edge", "cut_edges: 5-5"),
-    "cut edge out of range": (
-        SECOND._replace(cut_edges=with_entry(SECOND.cut_edges, 0, len(X))), "out_of_range", "cut_edges"
-    ),
     "cut edge within a piece": (SECOND._replace(cut_edges=np.append(UNCUT, CUTS[1:])), "wrong_cut", "cut_edges"),
     "cut edge twice": (SECOND._replace(cut_edges=np.append(CUTS[1], CUTS[1:])), "doubled", "cut_edges"),
     "cut edge left out": (
-        SECOND._replace(cut_edges=CUTS[1:].ravel(), cut_planes=PLANES[1:].ravel()), "wrong_cut", "is not cut"
+        SECOND._replace(cut_edges=CUTS[1:], cut_planes=PLANES[1:]), "wrong_cut",
+        r"cut_edges: \d+-\d+ joins two of the new fragments but is not cut; list it",
     ),
-    "no cut edges": (SECOND._replace(cut_edges=np.zeros(0, int), cut_planes=np.zeros(0)), "wrong_cut", "cut_edges"),
-    "plane left out": (SECOND._replace(cut_planes=PLANES[1:].ravel()), "size_mismatch", "cut_planes"),
-    "planes not in fours": (SECOND._replace(cut_planes=SECOND.cut_planes[1:]), "size_mismatch", "cut_planes"),
-    "plane nan": (SECOND._replace(cut_planes=with_entry(SECOND.cut_planes, 3, NAN)), "not_finite", "cut_planes"),
-    "plane not unit": (SECOND._replace(cut_planes=1.001 * SECOND.cut_planes), "not_unit", "cut_planes"),
-    "plane of zeros": (SECOND._replace(cut_planes=0.0 * SECOND.cut_planes), "not_unit", "cut_planes"),
+    "planes transposed": (
+        SECOND._replace(cut_planes=PLANES.T), "size_mismatch", r"cut_planes: shape \(4, \d+\); pass shape \(n, 4\)"
+    ),
+    "plane not unit": (
+        SECOND._replace(cut_planes=2.0 * SECOND.cut_planes), "not_unit",
+        "cut_planes: the normal of entry 0 is of length 2, not 1; divide the four numbers by it",
+    ),
     "plane huge": (SECOND._replace(cut_planes=1e300 * SECOND.cut_planes), "not_unit", "cut_planes"),
-    "plane beside its edge": (SECOND._replace(cut_planes=(PLANES * [1, 1, 1, 9]).ravel()), "missed_edge", "cut_planes"),
-    "plane from second to first": (SECOND._replace(cut_planes=-SECOND.cut_planes), "missed_edge", "cut_planes"),
-    "edge turned round": (SECOND._replace(cut_edges=TURNED), "missed_edge", "cut_planes"),
+    "plane from second to first": (
+        SECOND._replace(cut_planes=-SECOND.cut_planes), "missed_edge",
+        r"cut_planes: entry 0 does not cross .* is -?\S+ m at node \d+ \(needed: at most 0\) and \S+ m at node",
+    ),
     "plane along its edge": (
         SECOND._replace(cut_planes=np.append(ALONG, PLANES[1:])), "missed_edge", "cut_planes: entry 0"
     ),
@@ -242,11 +249,7 @@ EVENTS = {
 
 
 STATES = {
-    "step negative": (REFERENCE._replace(step=-1), "out_of_range", "step"),
-    "step too large": (REFERENCE._replace(step=2**64), "out_of_range", "step"),
-    "sequence no integer": (REFERENCE._replace(fracture_sequence="1"), "wrong_type", "fracture_sequence"),
     "event to come": (REFERENCE._replace(fracture_sequence=2), "sequence_gap", "fracture_sequence: 2"),
-    "bodies no integer": (REFERENCE._replace(body_sequence=1.0), "wrong_type", "body_sequence"),
     "body to come": (REFERENCE._replace(body_sequence=9), "sequence_gap", "body_sequence: 9, but body message"),
     "fragment to come": (
         REFERENCE._replace(fragment_ids=with_entry(IDS, 0, 50)), "unknown_id", "fragment_ids: no fragment 50"
@@ -260,49 +263,18 @@ STATES = {
     "fragment not born": (
         EARLIER._replace(fragment_ids=np.array([1, 10])), "retired_id", "fragment_ids: fragment 10"
     ),
-    "fragment twice": (REFERENCE._replace(fragment_ids=with_entry(IDS, 0, 4)), "doubled", "fragment_ids"),
-    "fragment ids of floats": (REFERENCE._replace(fragment_ids=IDS * 1.0), "wrong_type", "fragment_ids"),
-    "fragment id too large": (
-        REFERENCE._replace(fragment_ids=with_entry(IDS, 0, 2**32)), "out_of_range", "fragment_ids"
-    ),
-    "position missing": (REFERENCE._replace(positions=POSITIONS[3:]), "size_mismatch", "positions"),
-    "positions not in threes": (REFERENCE._replace(positions=POSITIONS[1:]), "size_mismatch", "positions"),
-    "position nan": (
-        REFERENCE._replace(positions=with_entry(POSITIONS, 5, NAN)), "not_finite", "positions: entry 5"
-    ),
-    "position infinite": (
-        REFERENCE._replace(positions=with_entry(POSITIONS, 5, -INF)), "not_finite", "positions: entry 5"
-    ),
-    "position out of the world": (
-        REFERENCE._replace(positions=with_entry(POSITIONS, 5, 1e300)), "out_of_range", "positions: entry 5"
-    ),
-    "orientation missing": (REFERENCE._replace(orientations=TURNS[4:]), "size_mismatch", "orientations"),
-    "orientation nan": (
-        REFERENCE._replace(orientations=with_entry(TURNS, 0, NAN)), "not_finite", "orientations"
-    ),
-    "orientation of length 0": (
-        REFERENCE._replace(orientations=with_entry(TURNS, 3, 0.0)), "not_unit", "fragment 3 has length 0"
+    "position missing": (
+        REFERENCE._replace(positions=POSITIONS[3:]), "size_mismatch", "positions: 3 entries for 4 fragment_ids"
     ),
     "orientation of length 2": (
-        REFERENCE._replace(orientations=with_entry(TURNS, 7, 2.0)), "not_unit", "fragment 4 has length 2"
-    ),
-    "orientation huge": (
-        REFERENCE._replace(orientations=with_entry(TURNS, 7, 1e200)), "not_unit", "orientations"
+        REFERENCE._replace(orientations=with_entry(TURNS, 7, 2.0)), "not_unit",
+        "orientations: the quaternion of fragment 4 has length 2, not 1; divide it by that, and order it x y z w",
     ),
     "orientation a little off": (
         REFERENCE._replace(orientations=with_entry(TURNS, 3, 1.00001)), "not_unit", "orientations"
     ),
-    "velocities of others": (
-        REFERENCE._replace(linear_velocities=np.zeros(9)), "size_mismatch", "linear_velocities"
-    ),
-    "velocity nan": (
-        REFERENCE._replace(linear_velocities=np.full(12, NAN)), "not_finite", "linear_velocities"
-    ),
-    "spins of others": (
-        REFERENCE._replace(angular_velocities=np.zeros(15)), "size_mismatch", "angular_velocities"
-    ),
     "spin infinite": (
-        REFERENCE._replace(angular_velocities=np.full(12, INF)), "not_finite", "angular_velocities"
+        REFERENCE._replace(angular_velocities=np.full(12, np.inf)), "not_finite", "angular_velocities"
     ),
 }  # fmt: skip
 

@@ -8,10 +8,9 @@ import numpy as np
 from oracles.brute_force import distances
 from oracles.fracture_patterns import CrackPlane, event_of_labels
 from oracles.fragmented_body import FragmentedBody, uniform_points
-from test_contacts_truth import FRAMES
 from test_exact_field import assert_equal, compare
 from test_fragment_bounds import assert_kept, check_fragments
-from truth.contact_truth import ContactTruth, assert_true, check_all_pairs, surface_samples
+from truth.contact_truth import FRAMES, ContactTruth, assert_true, check_all_pairs, surface_samples
 
 from fracture_collision.core.field.elementary_queries import inside_tetrahedron
 from fracture_collision.geometry.generators import TetGeometry, brick
@@ -76,19 +75,6 @@ def common_plane(normal: np.ndarray, offset: float) -> CrackPlane:
 
     def plane(_a: int, _b: int, i: int, j: int) -> tuple[np.ndarray, float]:
         return (normal, offset) if i < j else (-normal, -offset)
-
-    return plane
-
-
-def own_planes(vertices: np.ndarray, seed: int, tilt: float) -> CrackPlane:
-    """Each cut edge has its own plane, and no two agree. It crosses the edge at a random point, tilted by `tilt`."""
-    random = np.random.default_rng(seed)
-
-    def plane(a: int, b: int, _i: int, _j: int) -> tuple[np.ndarray, float]:
-        along = vertices[b] - vertices[a]
-        normal = along / np.linalg.norm(along) + tilt * random.normal(size=3)
-        normal *= np.sign(normal @ along) / np.linalg.norm(normal)
-        return normal, float(normal @ (vertices[a] + random.uniform() * along))
 
     return plane
 
@@ -166,12 +152,12 @@ def samples_within(case: FracturedWorld, own: int, other: int, distance: float) 
     return samples[distances(samples, case.oracle.surface_triangles(other)) <= distance]
 
 
-def block(kind: str, number: int, size: tuple[float, float, float]) -> CollisionBody:
+def block(kind: str, number: int, size: tuple[float, float, float], edge: float = 0.25) -> CollisionBody:
     """A block of edges `size` [m] as "tetrahedra", "triangles" or "box", with nodes in the same places."""
-    body = tetrahedral_body(brick(size, 0.25), number)
+    if kind == "box":
+        return CollisionBody(number, number, primitive=SolidPrimitive(BOX, size), density=DENSITY)
+    mesh = brick(size, edge)
     if kind == "tetrahedra":
-        return body
-    if kind == "triangles":
-        vertices, triangles = boundary_of(brick(size, 0.25))
-        return body._replace(vertices=vertices.ravel(), triangles=triangles.ravel(), tetrahedra=np.zeros(0, np.uint32))
-    return CollisionBody(number, number, primitive=SolidPrimitive(BOX, size))
+        return tetrahedral_body(mesh, number)
+    vertices, triangles = boundary_of(mesh)
+    return CollisionBody(number, number, vertices=vertices.ravel(), triangles=triangles.ravel(), density=DENSITY)

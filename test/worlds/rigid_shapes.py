@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from oracles.convex_cells import nearest_on_triangles
+from oracles.brute_force import nearest_on_triangles
 
 from fracture_collision.geometry.generators import TetGeometry, ball
 from fracture_collision.geometry.tetrahedra import boundary_triangles
