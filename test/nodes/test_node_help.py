@@ -21,7 +21,6 @@ from stages.ros_stage import StageWithClients
 from fracture_collision.ros.processes.node_help import TYPES
 from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
 from fracture_collision.ros.start import NODES, module_of
-from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.message_definitions import type_name
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,26 +29,35 @@ OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 RCL_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
+Cell = tuple[ServiceClient, dict[str, dict[str, Any]]]  # with the parameters given to each node
+
+
 def class_of(node: str) -> Any:
     module = import_module(module_of(node))
     return getattr(module, "".join(word.capitalize() for word in node.split("_")))
 
 
-def run(node: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_module(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "fracture_collision.ros.start", node, *arguments], capture_output=True, text=True,
-        timeout=120.0, env=os.environ | environment,
+        [sys.executable, "-m", *words], capture_output=True, text=True, timeout=120.0, env=os.environ | environment,
     )  # fmt: skip
 
 
+def run(node: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return run_module("fracture_collision.ros.start", node, *arguments, **environment)
+
+
+NOWHERE = {"ROS_DOMAIN_ID": "nowhere"}  # where no node starts
+
+
 @pytest.mark.parametrize("node", NODES)
-def test_help_starts_no_dds(node: str) -> None:
-    nowhere = {"ROS_DOMAIN_ID": "nowhere"}  # where no node starts
-    started = run(node, **nowhere)
-    assert started.returncode != 0 and "ROS_DOMAIN_ID" in started.stderr
-    told = run(node, "--help", **nowhere)
+def test_help_starts_no_dds_and_has_what_the_node_declares(node: str) -> None:
+    told = run_module(module_of(node), "--help", **NOWHERE)
     assert told.returncode == 0 and not told.stderr, told.stderr
+    assert told.stdout.startswith(f"usage: {node} ")
     made = class_of(node)
+    used = [name for example in made.EXAMPLES for name in re.findall(r"-p (\w+):=", example)]
+    assert used and set(used) <= {declaration.name for declaration in made.PARAMETERS}
     for title in ("Parameters", "Subscribes to", "Examples"):
         assert f"\n{title}:\n" in told.stdout
     for declaration in made.PARAMETERS:
@@ -62,11 +70,12 @@ def test_help_starts_no_dds(node: str) -> None:
 
 
 def test_version_and_short_help() -> None:
+    started = run("collision_node", **NOWHERE)
+    assert started.returncode != 0 and "ROS_DOMAIN_ID" in started.stderr
     version = run("collision_node", "--version")
     assert version.returncode == 0
     assert version.stdout == f"collision_node {ElementTree.parse(ROOT / 'package.xml').findtext('version')}\n"
-    help_text = run("collision_node", "--help").stdout
-    assert run("collision_node", "-h", "--ros-args", "-p", "x:=1").stdout == help_text
+    assert "\nExamples:\n" in run("collision_node", "-h", "--ros-args", "-p", "x:=1").stdout
 
 
 def test_a_pager_may_end_before_all_help_is_read() -> None:
@@ -95,22 +104,22 @@ def test_invalid_arguments_are_explained(arguments: tuple[str, ...], status: int
     assert explanation.startswith("collision_node: ") and words in explanation and "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("node", NODES)
-def test_examples_use_declared_parameters(node: str) -> None:
-    made = class_of(node)
-    declared = {declaration.name for declaration in made.PARAMETERS}
-    used = [name for example in made.EXAMPLES for name in re.findall(r"-p (\w+):=", example)]
-    assert used and set(used) <= declared
+@pytest.fixture(scope="module")
+def cell(shared_stage: StageWithClients, tmp_path_factory: pytest.TempPathFactory) -> Cell:
+    """All nodes in one namespace."""
+    folder = tmp_path_factory.mktemp("cell")
+    given: dict[str, dict[str, Any]] = {
+        "recorder_node": {"folder": str(folder / "bag")}, "page_node": {"folder": str(folder)},
+        "simulator_node": {"wait_for_subscribers": 50},  # else it runs its scene and ends
+    }  # fmt: skip
+    for node in NODES:
+        shared_stage.start(node, "-r", "__ns:=/cell", **given.get(node, {}))
+    return shared_stage.client("-r", "__ns:=/cell"), given
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_running_nodes_have_what_help_says(node: str, stage: StageWithClients, tmp_path: Path) -> None:
-    given = {"recorder_node": {"folder": str(tmp_path / "bag")}, "page_node": {"folder": str(tmp_path)}}.get(node, {})
-    stage.start(node, "-r", "__ns:=/cell", **given)
-    client = stage.client("-r", "__ns:=/cell")
-    if node == "recorder_node":  # it records states once there is a service
-        topic = qos.CONTACT_CONSTRAINTS
-        client.node.create_publisher(topic.message_class, topic.name, topic.qos)
+def test_running_nodes_have_what_help_says(node: str, cell: Cell) -> None:
+    client, given = cell[0], cell[1].get(node, {})
     made = class_of(node)
     subscribes, publishes = (expanded(topics, node) for topics in (made.INTERFACE.subscribes, made.INTERFACE.publishes))
     if node == "live_simulator_node":  # these exist while the scene has an arm; test_live_conventions.py
