@@ -164,7 +164,7 @@ def test_a_ball_bounces_off_a_thin_wall_at_its_speed(speed: float) -> None:
     duration = 0.0025 * (10 + int(0.8 / speed / 0.0025))
     scene = small_scene(LOSSLESS, wall, fast, gravity=0.0, duration=duration)
     farthest, moments = -1.0, []
-    with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as lockstep:
+    with Lockstep(scene) as lockstep:  # looks ahead by a time step unless told otherwise
         for exchange in lockstep:
             farthest = max(farthest, float(exchange.states.positions[-1, 1]))
             moments.append(exchange.report.kinetic_energy)
