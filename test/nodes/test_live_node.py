@@ -157,4 +157,4 @@ def test_joint_states_and_rejected_joint_commands(player: Player) -> None:
     player.steps_go_on()
     np.testing.assert_allclose(player.joints[-1].position, first.position, atol=1e-5)
     player.hands.command_joints([1.0], names[:1])
-    player.until(lambda: abs(player.joints[-1].position[0] - 1.0) < 1e-3, "a robot that has arrived")
+    player.until(lambda: abs(player.joints[-1].position[0] - 1.0) < 1e-4, "a robot that has arrived")

@@ -21,15 +21,13 @@ from stages.ros_stage import StageWithClients
 from fracture_collision.ros.processes.node_help import TYPES
 from fracture_collision.ros.processes.node_process import free_domain_id, loopback_environment
 from fracture_collision.ros.start import NODES, module_of
+from fracture_collision.ros.wire import qos
 from fracture_collision.ros.wire.message_definitions import type_name
 
 ROOT = Path(__file__).resolve().parents[2]
 # What rclpy gives every node, and the service's settings, which some nodes follow.
 OF_EVERY_NODE = {"/rosout", "/parameter_events"}
 RCL_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
-
-
-Cell = tuple[ServiceClient, dict[str, dict[str, Any]]]  # with the parameters given to each node
 
 
 def class_of(node: str) -> Any:
@@ -75,7 +73,8 @@ def test_version_and_short_help() -> None:
     version = run("collision_node", "--version")
     assert version.returncode == 0
     assert version.stdout == f"collision_node {ElementTree.parse(ROOT / 'package.xml').findtext('version')}\n"
-    assert "\nExamples:\n" in run("collision_node", "-h", "--ros-args", "-p", "x:=1").stdout
+    help_text = run("collision_node", "--help").stdout
+    assert help_text and run("collision_node", "-h", "--ros-args", "-p", "x:=1").stdout == help_text
 
 
 def test_a_pager_may_end_before_all_help_is_read() -> None:
@@ -104,22 +103,14 @@ def test_invalid_arguments_are_explained(arguments: tuple[str, ...], status: int
     assert explanation.startswith("collision_node: ") and words in explanation and "Traceback" not in done.stderr
 
 
-@pytest.fixture(scope="module")
-def cell(shared_stage: StageWithClients, tmp_path_factory: pytest.TempPathFactory) -> Cell:
-    """All nodes in one namespace."""
-    folder = tmp_path_factory.mktemp("cell")
-    given: dict[str, dict[str, Any]] = {
-        "recorder_node": {"folder": str(folder / "bag")}, "page_node": {"folder": str(folder)},
-        "simulator_node": {"wait_for_subscribers": 50},  # else it runs its scene and ends
-    }  # fmt: skip
-    for node in NODES:
-        shared_stage.start(node, "-r", "__ns:=/cell", **given.get(node, {}))
-    return shared_stage.client("-r", "__ns:=/cell"), given
-
-
 @pytest.mark.parametrize("node", NODES)
-def test_running_nodes_have_what_help_says(node: str, cell: Cell) -> None:
-    client, given = cell[0], cell[1].get(node, {})
+def test_running_nodes_have_what_help_says(node: str, stage: StageWithClients, tmp_path: Path) -> None:
+    given = {"recorder_node": {"folder": str(tmp_path / "bag")}, "page_node": {"folder": str(tmp_path)}}.get(node, {})
+    stage.start(node, "-r", "__ns:=/cell", **given)
+    client = stage.client("-r", "__ns:=/cell")
+    if node == "recorder_node":  # it records states once there is a service
+        topic = qos.CONTACT_CONSTRAINTS
+        client.node.create_publisher(topic.message_class, topic.name, topic.qos)
     made = class_of(node)
     subscribes, publishes = (expanded(topics, node) for topics in (made.INTERFACE.subscribes, made.INTERFACE.publishes))
     if node == "live_simulator_node":  # these exist while the scene has an arm; test_live_conventions.py
