@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from queue import Empty, Queue
+from queue import Queue
 from typing import Any
 
 import numpy as np
@@ -56,31 +56,25 @@ def test_a_file_arrives_in_parts(page: Page, got: Queue[Upload]) -> None:
         assert not other.notices and not other.acknowledged
 
 
-@pytest.mark.parametrize(
-    ("name", "size", "words"),
-    [
-        ("../../etc/cron.d/x.obj", 8, "no folders"),
-        ("C:\\x.obj", 8, "no folders"),
-        ("x\n.obj", 8, "no control characters"),
-        ("x" * 400 + ".obj", 8, "more than 255 characters"),
-        ("x.pkl", 8, "none of .obj, .npz"),
-        ("obj", 8, "none of .obj, .npz"),
-        ("x.obj", MOST_BYTES + 1, "20.0 MB, more than 20 MB"),
-        ("x.obj", 0, "empty"),
-        ("x.obj", -1, "empty"),
-        ("x.obj", 4, "longer than declared"),
-    ],
-)
-def test_invalid_files_are_rejected_with_words(
-    page: Page, got: Queue[Upload], name: str, size: int, words: str
-) -> None:
+def test_invalid_files_are_rejected_with_words(page: Page, got: Queue[Upload]) -> None:
     with page_client(page.address) as client:
-        client.upload(BUTTON, name, [b"12345678"], size)
-        refused(client, words)
-        client.upload(BUTTON, "next.obj", [b"12345678"])
-        assert got.get(timeout=30.0).name == "next.obj", "the connection is still there"
-        with pytest.raises(Empty):
-            got.get_nowait()
+        for name, size, words in (
+            ("../../etc/cron.d/x.obj", 8, "no folders"),
+            ("C:\\x.obj", 8, "no folders"),
+            ("x\n.obj", 8, "no control characters"),
+            ("x" * 400 + ".obj", 8, "more than 255 characters"),
+            ("x.pkl", 8, "none of .obj, .npz"),
+            ("obj", 8, "none of .obj, .npz"),
+            ("x.obj", MOST_BYTES + 1, "20.0 MB, more than 20 MB"),
+            ("x.obj", 0, "empty"),
+            ("x.obj", -1, "empty"),
+            ("x.obj", 4, "longer than declared"),
+        ):
+            client.upload(BUTTON, name, [b"12345678"], size)
+            refused(client, words)
+            client.upload(BUTTON, "next.obj", [b"12345678"])
+            assert got.get(timeout=30.0).name == "next.obj", "the connection is still there"
+            assert got.empty()
 
 
 def test_few_files_are_sent_at_a_time_and_those_of_closed_pages_forgotten(page: Page, got: Queue[Upload]) -> None:

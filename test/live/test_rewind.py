@@ -56,10 +56,10 @@ def test_a_scene_goes_on_from_a_copy_as_it_did(looks_ahead: bool, before: int) -
     first.live.throw(BALL)
     first.step(before)
     copied, events, begin = first.live.copied(), first.history.events, len(first.requests)
-    first.step(120)
+    first.step(60)
     for _ in range(2):  # the copy itself stays as it is
         again = Course(copied.copied(), History(events=events), looks_ahead)
-        again.step(120)
+        again.step(60)
         assert again.sent() == first.sent()[begin:]
     assert len(first.requests[-1].states.fragment_ids) > 10, "it broke"
 
@@ -101,7 +101,7 @@ def test_events_of_a_moment_are_those_that_the_service_had() -> None:
     run = course()
     run.step(2)
     run.live.throw(BALL)
-    run.step(500)
+    run.step(415)
     assert run.history.events
     beginning, *later = run.history._moments
     assert not run.history.until(beginning).events and len(later) == 2

@@ -5,13 +5,12 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from campaigns.kills.mixed import kill_mixed, medians
-from campaigns.kills.stage import Digests, await_no_litter, await_that, litter, stage
+from campaigns.kills.stage import Digests, await_no_litter, await_that, litter
 from campaigns.kills.trials import kill_listeners, kill_services, kill_simulators, orders_of_ending, undisturbed
 from campaigns.soak import Cycle, growth, soak
 from fracture_collision.bag.reader import message_counts
@@ -36,8 +35,8 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> Digests:
 
 def test_a_restarted_service_gives_the_same_run(tmp_path: Path, reference: Digests) -> None:
     before = litter()
-    returns, different, lost = kill_services(tmp_path, SCENE, 2, 3, reference, no_progress, SOON)
-    assert len(returns) == 2 and different == 0 and lost <= 2
+    returns, different, lost = kill_services(tmp_path, SCENE, 1, 3, reference, no_progress, SOON)
+    assert len(returns) == 1 and different == 0 and lost <= 1
     await_no_litter(before)
 
 
@@ -69,8 +68,8 @@ def test_a_killed_listener_does_not_change_the_run(tmp_path: Path, reference: Di
 
 
 def test_service_and_recorder_restart_after_kills_at_the_worst_moments(tmp_path: Path) -> None:
-    mixed = kill_mixed(tmp_path, LONG_SCENE, 6, 2, no_progress)
-    assert mixed.kills >= 6 and mixed.returns
+    mixed = kill_mixed(tmp_path, LONG_SCENE, 4, 2, no_progress)
+    assert mixed.kills >= 4 and mixed.returns
     assert mixed.deaf == [] and mixed.faults == []
     assert all(count > 0 for count, _, _ in medians(mixed.returns).values())
 
@@ -78,17 +77,6 @@ def test_service_and_recorder_restart_after_kills_at_the_worst_moments(tmp_path:
 @pytest.mark.slow
 def test_nodes_end_by_signals_in_any_order(tmp_path: Path) -> None:
     assert list(orders_of_ending(tmp_path, SCENE, no_progress)) == []
-
-
-def test_a_killed_node_leaves_no_files(tmp_path: Path) -> None:
-    before = litter()
-    with stage(tmp_path) as nodes:
-        listener = nodes.start("recorder_node", folder=str(tmp_path / "bag"))
-        while not (tmp_path / "bag").exists():
-            assert listener.exit_status() is None, listener.log_text()
-            time.sleep(0.01)
-        assert listener.stop(patience=5.0, orders=(signal.SIGKILL,)) == -signal.SIGKILL
-    await_no_litter(before)
 
 
 @pytest.mark.slow

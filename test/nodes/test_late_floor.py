@@ -8,6 +8,6 @@ from campaigns.late_floor import late_floor
 
 
 def test_no_answer_lacks_the_floor(tmp_path: Path) -> None:
-    found = late_floor(tmp_path, starts=12, restarts=3, progress=lambda text: None)
-    assert (found.trials, found.without_floor, found.unanswered) == (15, 0, 0)
-    assert found.answers >= 15
+    found = late_floor(tmp_path, starts=6, restarts=1, progress=lambda text: None)
+    assert (found.trials, found.without_floor, found.unanswered) == (7, 0, 0)
+    assert found.answers >= 7

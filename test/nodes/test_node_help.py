@@ -35,21 +35,27 @@ def class_of(node: str) -> Any:
     return getattr(module, "".join(word.capitalize() for word in node.split("_")))
 
 
-def run(node: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_module(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "fracture_collision.ros.start", node, *arguments], capture_output=True, text=True,
-        timeout=120.0, env=os.environ | environment,
+        [sys.executable, "-m", *words], capture_output=True, text=True, timeout=120.0, env=os.environ | environment,
     )  # fmt: skip
 
 
+def run(node: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return run_module("fracture_collision.ros.start", node, *arguments, **environment)
+
+
+NOWHERE = {"ROS_DOMAIN_ID": "nowhere"}  # where no node starts
+
+
 @pytest.mark.parametrize("node", NODES)
-def test_help_starts_no_dds(node: str) -> None:
-    nowhere = {"ROS_DOMAIN_ID": "nowhere"}  # where no node starts
-    started = run(node, **nowhere)
-    assert started.returncode != 0 and "ROS_DOMAIN_ID" in started.stderr
-    told = run(node, "--help", **nowhere)
+def test_help_starts_no_dds_and_has_what_the_node_declares(node: str) -> None:
+    told = run_module(module_of(node), "--help", **NOWHERE)
     assert told.returncode == 0 and not told.stderr, told.stderr
+    assert told.stdout.startswith(f"usage: {node} ")
     made = class_of(node)
+    used = [name for example in made.EXAMPLES for name in re.findall(r"-p (\w+):=", example)]
+    assert used and set(used) <= {declaration.name for declaration in made.PARAMETERS}
     for title in ("Parameters", "Subscribes to", "Examples"):
         assert f"\n{title}:\n" in told.stdout
     for declaration in made.PARAMETERS:
@@ -62,11 +68,13 @@ def test_help_starts_no_dds(node: str) -> None:
 
 
 def test_version_and_short_help() -> None:
+    started = run("collision_node", **NOWHERE)
+    assert started.returncode != 0 and "ROS_DOMAIN_ID" in started.stderr
     version = run("collision_node", "--version")
     assert version.returncode == 0
     assert version.stdout == f"collision_node {ElementTree.parse(ROOT / 'package.xml').findtext('version')}\n"
     help_text = run("collision_node", "--help").stdout
-    assert run("collision_node", "-h", "--ros-args", "-p", "x:=1").stdout == help_text
+    assert help_text and run("collision_node", "-h", "--ros-args", "-p", "x:=1").stdout == help_text
 
 
 def test_a_pager_may_end_before_all_help_is_read() -> None:
@@ -93,14 +101,6 @@ def test_invalid_arguments_are_explained(arguments: tuple[str, ...], status: int
     assert done.returncode == status
     explanation = done.stderr.splitlines()[-1]  # after rcl's own log
     assert explanation.startswith("collision_node: ") and words in explanation and "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize("node", NODES)
-def test_examples_use_declared_parameters(node: str) -> None:
-    made = class_of(node)
-    declared = {declaration.name for declaration in made.PARAMETERS}
-    used = [name for example in made.EXAMPLES for name in re.findall(r"-p (\w+):=", example)]
-    assert used and set(used) <= declared
 
 
 @pytest.mark.parametrize("node", NODES)

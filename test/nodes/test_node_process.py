@@ -16,9 +16,8 @@ from fracture_collision.ros.processes.node_process import NodeProcess, free_doma
 from fracture_collision.ros.processes.process import age_of
 
 
-@pytest.mark.parametrize("niceness", [0, 5])
-def test_a_node_has_the_given_niceness(tmp_path: Path, niceness: int) -> None:
-    own = os.getpriority(os.PRIO_PROCESS, 0)
+def test_a_node_has_the_given_niceness(tmp_path: Path) -> None:
+    own, niceness = os.getpriority(os.PRIO_PROCESS, 0), 5
     node = NodeProcess("recorder_node", {"folder": str(tmp_path / "bag")}, free_domain_id(), tmp_path / "log",
                        niceness=niceness)  # fmt: skip
     try:
@@ -74,8 +73,7 @@ sys.exit(process.run_node(Stuck, work))
 """
 
 
-@pytest.mark.parametrize("where", ["work", "end"])
-@pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("where", "order"), [("work", signal.SIGINT), ("end", signal.SIGTERM)])
 def test_a_node_exits_in_time_even_if_dds_does_not_return(where: str, order: signal.Signals) -> None:
     environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     process = subprocess.Popen([sys.executable, "-c", STUCK, where], stdout=subprocess.PIPE, text=True, env=environment)

@@ -52,24 +52,12 @@ def nothing_said(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
 
 
-def test_nodes_communicate_with_sockets_on_loopback_only(stage: StageWithClients) -> None:
+def test_nodes_have_sockets_on_loopback_only_where_programs_set_up_as_in_readme_find_them(
+    stage: StageWithClients,
+) -> None:
+    """With LOCALHOST and no XML profile."""
     node, _ = stage.served()
     assert udp_addresses(node.pid) == {"127.0.0.1"}
-
-
-def test_an_own_context_has_sockets_on_loopback_only() -> None:
-    command = [sys.executable, "-c", OWN_CONTEXT, str(free_domain_id())]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
-        try:
-            assert program.stdout.readline() == "there\n"
-            assert udp_addresses(program.pid) == {"127.0.0.1"}
-        finally:
-            program.kill()
-
-
-def test_nodes_are_discovered_by_programs_set_up_as_in_readme(stage: StageWithClients) -> None:
-    """With LOCALHOST and no XML profile."""
-    stage.start("collision_node")
     look = """
 import time, rclpy
 rclpy.init()
@@ -81,6 +69,16 @@ while not node.count_publishers("/contact_constraints"):
 """
     done = subprocess.run([sys.executable, "-c", look], env=loopback_environment(stage.domain_id), timeout=120.0)
     assert done.returncode == 0
+
+
+def test_an_own_context_has_sockets_on_loopback_only() -> None:
+    command = [sys.executable, "-c", OWN_CONTEXT, str(free_domain_id())]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
+        try:
+            assert program.stdout.readline() == "there\n"
+            assert udp_addresses(program.pid) == {"127.0.0.1"}
+        finally:
+            program.kill()
 
 
 def test_settings_of_the_user_take_precedence_and_reach_child_processes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -91,38 +91,6 @@ def test_rolling_resistance_stops_a_ball():
     assert reports[-1].max_speed < 1e-9
 
 
-def test_a_fast_ball_stops_at_the_surface_it_has_not_reached():
-    """A gap may close within the step to the rest gap and no further: the ball neither penetrates nor hovers."""
-    scene = make_scene(
-        ball("ball", 0.05, [0.0, 0.0, 0.0515], linear_velocity=[0.0, 0.0, -8.0]), duration=0.05
-    )
-    reports, states = run(scene, detection_tolerance=0.05)  # so that its contact is listed
-    assert min(report.deepest_gap for report in reports) > -1e-6
-    assert states.positions[0, 2] == pytest.approx(0.05 + 0.05 * scene.solver.rest_gap, abs=1e-6)
-
-
-def test_a_collision_keeps_momentum():
-    """Two balls collide off centre with friction in free space: linear and angular momentum to rounding."""
-    pair = [
-        ball("one", 0.05, [0.0, 0.0, 1.0], linear_velocity=[3.0, 0.0, 0.0], angular_velocity=[5.0, 40.0, -9.0]),
-        ball("two", 0.03, [0.1, 0.03, 1.02], linear_velocity=[-1.0, 0.0, 0.0]),
-    ]
-    scene = make_scene(*pair, gravity=0.0, duration=0.05, stone={"restitution": 0.4})
-    reports, states = run(scene)
-    assert max(report.contacts for report in reports) == 1
-    mass = 2400.0 * 4.0 / 3.0 * np.pi * np.array([0.05, 0.03]) ** 3
-    spin = 0.4 * mass * np.array([0.05, 0.03]) ** 2
-
-    def momenta(x, v, w):
-        return np.concatenate((mass @ v, (mass[:, None] * np.cross(x, v) + spin[:, None] * w).sum(axis=0)))
-
-    keys = ("position", "linear_velocity", "angular_velocity")
-    start = [np.array([body.get(key, [0.0] * 3) for body in pair]) for key in keys]
-    end = [a.reshape(-1, 3) for a in (states.positions, states.linear_velocities, states.angular_velocities)]
-    assert np.abs(end[1][1] - start[1][1]).max() > 0.1
-    np.testing.assert_allclose(momenta(*end), momenta(*start), atol=1e-12)
-
-
 def test_bodies_that_do_not_touch_do_not_affect_each_other():
     """Islands are solved separately: tumbling boxes move byte for byte the same with and without a rolling ball."""
     alone = run(make_scene(*TUMBLING, duration=0.6))[1]
@@ -178,8 +146,9 @@ def course(bodies: list[dict[str, Any]], duration: float, gravity: float = 0.0, 
     return Course(*map(np.array, zip(*rows, strict=True)))
 
 
-@either_shape
-@pytest.mark.parametrize(("step", "lost"), [(0.0025, 5e-5), (0.01, 5e-4)])
+@pytest.mark.parametrize(
+    ("shape", "step", "lost"), [(round_one, 0.0025, 5e-5), (round_one, 0.01, 5e-4), (cube, 0.01, 5e-4)]
+)
 def test_a_bounce_without_loss_rises_as_high_as_it_fell(shape: Callable, step: float, lost: float) -> None:
     run = course([GROUND, shape("a", 0.0, 0.0, 0.55)], 3.0, gravity=9.81, step=step)
     z = run.centers[:, 0, 2]

@@ -6,7 +6,6 @@ same limits.
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
-from worlds.small_scenes import ball, box, brick, small_scene
+from worlds.small_scenes import box, brick, small_scene
 
 from fracture_collision.bag.reader import recorded_settings
 from fracture_collision.cli.bags import record
@@ -162,40 +161,30 @@ def test_a_wall_of_32_bricks_stands(duration):
 
 
 @quick_and_slow
-@pytest.mark.parametrize("ratio", [1000.0, 0.001])
-def test_a_heavy_brick_on_a_light_one(duration, ratio):
-    """1000 times as heavy on what bears it, and the other way round.
+@pytest.mark.parametrize(
+    ("size", "place", "turn", "lift", "sinks"),
+    [
+        # as high as it must be to weigh 1000 times as much at 1000 times the density
+        ([0.16, 0.16, 0.15625], [0.01, 0.0, 0.178525], 5.0, DRIFT_LIFT, 3e-4),
+        ([0.2, 0.2, 0.1], [0.0, 0.0, 0.1504], 0.0, DRIFT_LIFT_TUMBLING, 3.5e-4),
+    ],
+    ids=["askew", "flush"],
+)
+def test_a_heavy_brick_on_a_light_one(duration, size, place, turn, lift, sinks):
+    """1000 times as heavy; or side faces in one plane, where the nearest surface of every rim is a side.
 
     It sinks no deeper than 0.3 % R when it lands and not at all from one second on; nothing moves by more than 10 um
-    then.
-    """
-    light, heavy = {**CLAY, "density": 20.0}, {**CLAY, "density": 20.0 * max(ratio, 1.0 / ratio)}
-    below, above = ("light", "heavy") if ratio > 1.0 else ("heavy", "light")
-    # As high as it must be to weigh 1000 times as much at 1000 times the density.
-    bricks = [
-        brick("below", [0.2, 0.2, 0.1], 0.05, [0.0, 0.0, 0.0502], material=below),
-        brick(
-            "above", [0.16, 0.16, 0.15625], 0.05, [0.01, 0.0, 0.178525], rotation=[0.0, 0.0, 5.0], material=above
-        ),
-    ]
-    track = run(make_scene(*bricks, materials={"light": light, "heavy": heavy}), duration)
-    masses = track.registry.masses[1:]
-    assert masses[1] / masses[0] == pytest.approx(ratio)
-    assert_stands(track, 3e-4, 1e-3)
-
-
-@quick_and_slow
-def test_a_heavy_brick_flush_on_a_light_one(duration):
-    """1000 times as heavy, side faces in one plane: the nearest surface of every rim is a side.
-
-    It stands like the last, once drift correction, 0.2 % of the energy, has lifted it from its landing 0.32 mm deep.
+    then. The flush one is first lifted by drift correction, 0.2 % of the energy, from its landing 0.32 mm deep.
     """
     clay = {name: {**CLAY, "density": density} for name, density in (("light", 20.0), ("heavy", 20000.0))}
     bricks = [
-        brick(name, [0.2, 0.2, 0.1], 0.05, [0.0, 0.0, height], material=name)
-        for name, height in (("light", 0.0502), ("heavy", 0.1504))
+        brick("below", [0.2, 0.2, 0.1], 0.05, [0.0, 0.0, 0.0502], material="light"),
+        brick("above", size, 0.05, place, rotation=[0.0, 0.0, turn], material="heavy"),
     ]
-    assert_stands(run(make_scene(*bricks, materials=clay), duration, lift=DRIFT_LIFT_TUMBLING), 3.5e-4, 1e-3)
+    track = run(make_scene(*bricks, materials=clay), duration, lift=lift)
+    masses = track.registry.masses[1:]
+    assert masses[1] / masses[0] == pytest.approx(1000.0)
+    assert_stands(track, sinks, 1e-3)
 
 
 def breakable(shape, seed, curvature, friction, gravity, height):
@@ -229,30 +218,22 @@ FRESH_DRIFT = 1e-4  # of R
 ON_THE_GROUND = {"pane": (PANE, 0.5), "brick": (BRICK, 1.0)}  # shape and friction
 
 
-@cache
-def worst_drift(name: str, curvature: float, duration: float) -> float:
-    """Of five seeds, as a share of R."""
-    shape, friction = ON_THE_GROUND[name]
-    size = shape["brick"]["size_xyz"]
-    drifts = []
-    for seed in range(1, 6):
-        scene = breakable(shape, seed, curvature, friction, 9.81, 0.5 * size[2])
-        track = run(scene, duration, struck=True)
-        assert len(track.states[-1].fragment_ids) >= 7
-        drifts.append(track.displacement() / (0.5 * max(size)))
-    return max(drifts)
-
-
 @after_a_blow
 @pytest.mark.parametrize("curvature", [0.0, 0.25])
 @pytest.mark.parametrize("name", ["pane", "brick"])
 def test_a_fresh_fracture_on_the_ground_stays_in_place(duration, name, curvature):
-    """Five seeds each, 8 contacts per pair: no node of any fragment moves by more than 0.01 % R; energy does not rise.
+    """Five seeds each, two in the quick test, 8 contacts per pair: no node moves by more than 0.01 % R.
 
     A brick half as high as long has cracks that lean by more than 27 degrees; on those, friction of 0.5 lets pieces
     slide (by 3 % R with seed 1), as it should. Its friction is 1.
     """
-    assert worst_drift(name, curvature, duration) < FRESH_DRIFT
+    shape, friction = ON_THE_GROUND[name]
+    size = shape["brick"]["size_xyz"]
+    for seed in range(1, 6 if duration > 1.0 else 3):
+        scene = breakable(shape, seed, curvature, friction, 9.81, 0.5 * size[2])
+        track = run(scene, duration, struck=True)
+        assert len(track.states[-1].fragment_ids) >= 7
+        assert track.displacement() < FRESH_DRIFT * 0.5 * max(size)
 
 
 RIM_CORNERS = 120
@@ -321,18 +302,6 @@ def test_only_moving_breakable_bodies_can_be_struck():
         lockstep.step()
         with pytest.raises(ValueError, match="of 'brick 0' cannot break"):
             lockstep.simulation.strike(2, np.zeros(3), 1.0)
-
-
-WOOD = {"density": 700.0, "friction": 0.5}
-
-
-@pytest.mark.parametrize("speed", [50.0, 200.0])
-def test_a_fast_ball_does_not_pass_through_a_pane(speed: float) -> None:
-    pane = box("pane", [0.5, 0.5, 0.004], static=True)
-    fast = ball("ball", 0.01, [0.013, 0.0, 0.3], linear_velocity=[0.0, 0.0, -speed])
-    with Lockstep(small_scene(WOOD, pane, fast, duration=0.05)) as run:
-        heights = [exchange.states.positions.reshape(-1, 3)[-1, 2] for exchange in run]
-    assert min(heights) > 0.0
 
 
 def test_record_looks_ahead_by_a_step_of_the_scene(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -34,6 +35,11 @@ def boxes(scale: float, time_step: float, gravity: float, duration: float, **sto
     return small_scene(material, GROUND, *placed, gravity=gravity, time_step=time_step, duration=duration)
 
 
+@cache
+def course_of(scale: float, restitution: float) -> tuple[np.ndarray, np.ndarray]:
+    return course(boxes(scale, 0.0025, scale * 9.81, 0.5, restitution=restitution))
+
+
 def course(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Centres of mass (steps, 3, 3) [m], and who is asleep at the end (3,)."""
     with Lockstep(scene, Settings(threads=1, lookahead=scene.time_step)) as run:
@@ -44,8 +50,8 @@ def course(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("restitution", [0.0, 0.4])
 @pytest.mark.parametrize("scale", [0.01, 100.0])
 def test_a_scene_takes_the_same_course_in_another_unit_of_length(scale: float, restitution: float) -> None:
-    places, asleep = course(boxes(1.0, 0.0025, 9.81, 0.5, restitution=restitution))
-    scaled, scaled_asleep = course(boxes(scale, 0.0025, scale * 9.81, 0.5, restitution=restitution))
+    places, asleep = course_of(1.0, restitution)
+    scaled, scaled_asleep = course_of(scale, restitution)
     np.testing.assert_allclose(scaled / scale, places, rtol=0.0, atol=1e-6 * SIZE[0])
     assert scaled_asleep.tolist() == asleep.tolist()
 

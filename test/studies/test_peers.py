@@ -133,19 +133,14 @@ def test_ours_and_exact_vertices_in_one_run(world: World, tmp_path: Path) -> Non
     assert read[0]["cpu"] and "numpy" in read[0]["versions"] and read[2]["jitter_missed"] == ""
 
 
-def test_a_failing_method_is_reported_and_the_others_continue(world: World) -> None:
+@pytest.mark.parametrize("world", [False], ids=["flat"], indirect=True)
+def test_a_failing_method_is_reported_and_contacts_without_a_direction_are_left_out(world: World) -> None:
     class Broken(Method):
         name = "broken"
 
         def update(self, world: World, before) -> None:
             raise RuntimeError("no such mesh")
 
-    broken, field = measure([world], [Broken(), NodeField()], repeats=2)
-    assert isinstance(broken, Row) and broken.failure == "RuntimeError: no such mesh"
-    assert not field.failure and field.rounds == 2
-
-
-def test_contacts_without_a_direction_are_left_out(world: World) -> None:
     class Blind(Exact):
         name = "blind"
 
@@ -153,7 +148,9 @@ def test_contacts_without_a_direction_are_left_out(world: World) -> None:
             found = super().query(world, state, frame)
             return found._replace(normals=np.full_like(found.normals, np.nan))
 
-    blind, exact = measure([world], [Blind(), Exact()], repeats=1)
+    broken, field, blind, exact = measure([world], [Broken(), NodeField(), Blind(), Exact()], repeats=2)
+    assert isinstance(broken, Row) and broken.failure == "RuntimeError: no such mesh"
+    assert not field.failure and field.rounds == 2
     assert not blind.failure and blind.score["jitter"].contacts == 0.0
     assert blind.score["jitter"].missed == exact.score["jitter"].penetrating > 0
 

@@ -41,22 +41,26 @@ def test_a_turned_pair_moves_in_the_world(blocks: Solids) -> None:  # noqa: F811
 
 
 @pytest.mark.parametrize(
-    ("second", "answer", "remaining", "unnecessary"),
+    ("second", "answer", "remaining", "unnecessary", "of_depth"),
     [
-        (INTO, one_contact(OVERLAP), 0.0, RESOLVED),
-        (INTO, contacts([X, X, X], [OVERLAP, 0.5 * OVERLAP, OVERLAP]), 0.0, RESOLVED),  # redundant
-        (INTO, one_contact(3.0 * OVERLAP), 0.0, 2.0 * OVERLAP + RESOLVED),  # too far
-        (INTO, one_contact(0.25 * OVERLAP), 0.75 * OVERLAP, 0.0),  # not far enough
-        (INTO, one_contact(OVERLAP, (0.0, 1.0, 0.0)), OVERLAP, OVERLAP),  # along the face: no effect
-        (INTO, contacts([X, Y], [OVERLAP, OVERLAP]), 0.0, np.sqrt(2.0) * RESOLVED),  # a false one beside the right one
-        (INTO, no_contacts(), OVERLAP, 0.0),  # missed
-        (INTO, one_contact(-0.001), OVERLAP, 0.0),  # a gap is no penetration
-        (APART, no_contacts(), 0.0, 0.0),
-        (APART, one_contact(OVERLAP), 0.0, OVERLAP),  # false
+        (INTO, one_contact(OVERLAP), 0.0, RESOLVED, 0.0),
+        (INTO, contacts([X, X, X], [OVERLAP, 0.5 * OVERLAP, OVERLAP]), 0.0, RESOLVED, 0.0),  # redundant
+        (INTO, one_contact(3.0 * OVERLAP), 0.0, 2.0 * OVERLAP + RESOLVED, 2.0 * OVERLAP),  # too far
+        (INTO, one_contact(0.25 * OVERLAP), 0.75 * OVERLAP, 0.0, 0.75 * OVERLAP),  # not far enough
+        (INTO, one_contact(OVERLAP, (0.0, 1.0, 0.0)), OVERLAP, OVERLAP, 0.0),  # along the face: no effect
+        (INTO, contacts([X, Y], [OVERLAP, OVERLAP]), 0.0, np.sqrt(2.0) * RESOLVED, 0.0),  # a false one beside the right
+        (INTO, no_contacts(), OVERLAP, 0.0, OVERLAP),  # missed
+        (INTO, one_contact(-0.001), OVERLAP, 0.0, OVERLAP),  # a gap is no penetration
+        (APART, no_contacts(), 0.0, 0.0, 0.0),
+        (APART, one_contact(OVERLAP), 0.0, OVERLAP, OVERLAP),  # false
+        (APART, one_contact(0.001), 0.0, 0.001, 0.001),  # however small
     ],
 )
-def test_errors_of_a_pair(blocks: Solids, second, answer: Contacts, remaining: float, unnecessary: float) -> None:  # noqa: F811
+def test_errors_of_a_pair(
+    blocks: Solids, second, answer: Contacts, remaining: float, unnecessary: float, of_depth: float  # noqa: F811
+) -> None:
     got = judged(blocks, placed(second), answer)
+    assert got.pair_error_max == got.pair_error_mean == pytest.approx(of_depth, abs=1e-9)
     step = 3.0 * OVERLAP / 2**HALVINGS
     assert got.remaining_max == got.remaining_mean == pytest.approx(remaining, abs=1e-9)
     assert got.unnecessary_max == got.unnecessary_mean == pytest.approx(unnecessary, abs=step)

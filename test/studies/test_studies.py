@@ -5,17 +5,13 @@ from __future__ import annotations
 import csv
 import os
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
-ROOT = Path(__file__).resolve().parents[2]
-DOCS = ROOT / "docs"
-if str(ROOT) not in sys.path:
-    sys.path.insert(0, str(ROOT))  # benchmarks/ is not installed
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 pytest.importorskip("distributed")
 
@@ -223,22 +219,15 @@ def scheduler() -> str:
         yield processes.scheduler_address
 
 
-def test_a_given_scheduler_is_used_and_left_running(scheduler: str) -> None:
-    for _ in range(2):
-        with cluster(scheduler, 0) as crew:
-            assert crew.timing_worker.startswith("tcp://")
-            trials = [Trial(divmod, (i, 3), f"{i} by 3", i % 2 == 0) for i in range(6)]
-            done: list[Trial] = []
-            found = run_trials(crew, trials + trials, done.append)
-            assert [found[trial] for trial in trials] == [divmod(i, 3) for i in range(6)]
-            assert sorted(done, key=trials.index) == trials
-
-
-def test_a_failing_trial_is_named(scheduler: str) -> None:
-    with (
-        cluster(scheduler, 0) as crew,
-        pytest.raises(StudyError, match="by nothing: ZeroDivisionError"),
-    ):
+def test_a_given_scheduler_is_used_and_left_running_and_a_failing_trial_named(scheduler: str) -> None:
+    with cluster(scheduler, 0) as crew:
+        assert crew.timing_worker.startswith("tcp://")
+        trials = [Trial(divmod, (i, 3), f"{i} by 3", i % 2 == 0) for i in range(6)]
+        done: list[Trial] = []
+        found = run_trials(crew, trials + trials, done.append)
+        assert [found[trial] for trial in trials] == [divmod(i, 3) for i in range(6)]
+        assert sorted(done, key=trials.index) == trials
+    with cluster(scheduler, 0) as crew, pytest.raises(StudyError, match="by nothing: ZeroDivisionError"):
         run_trials(crew, [Trial(divmod, (1, 0), "1 by nothing", True)], lambda trial: None)
 
 
