@@ -751,7 +751,7 @@ def _pile() -> Case:
             )  # fmt: skip
 
     return Case(
-        "pile", "Sixteen boxes fall on a heap and come to rest", {"fall": Part(scene(bodies, 3.0))}, judge
+        "pile", "Sixteen boxes fall on a heap and come to rest", {"fall": Part(scene(bodies, 2.5))}, judge
     )
 
 
