@@ -72,7 +72,7 @@ def run_of(scene: Scene) -> Row:
     totals = MILLI * np.array([exchange.times.total for exchange in exchanges])
     broke = np.array([bool(exchange.report.events) for exchange in exchanges])
     after = np.append(False, broke[:-1])  # the pieces' first step
-    depths = -MILLI * np.array([exchange.contacts.gaps.min(initial=0.0) for exchange in exchanges])
+    depths = -MILLI * np.array([exchange.report.deepest_gap for exchange in exchanges])  # not a robot's in itself
     last = exchanges[-1].report
     return Row(
         scene.name, scene.engine, last.fragments, float(np.mean([len(x.contacts.gaps) for x in exchanges])),
