@@ -123,7 +123,6 @@ class CollisionWorld:
         if settings.threads != self.settings.threads:
             self._crew, self._scratch = _crew_of(settings), ()
         self._ledger.change_limits(settings)
-        self.forget()
         self.settings = settings
 
     def forget(self) -> None:
