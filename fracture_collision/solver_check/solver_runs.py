@@ -43,10 +43,6 @@ class Strike(NamedTuple):
     overload: float  # impulse over strength
 
 
-class NoRobots(Exception):
-    """A solver that has none."""
-
-
 class LeftOut(Exception):
     """A run that this solver, or this installation, cannot have; the text has the reason."""
 
@@ -114,11 +110,11 @@ def run_in_lockstep(
 
 
 def _begun(scene: Scene, settings: Settings, dynamics: _Spy) -> Lockstep:
-    if scene.robot is None:
-        return Lockstep(scene, settings, dynamics=dynamics)
     try:
         return Lockstep(scene, settings, dynamics=dynamics)
-    except (MissingExtra, NoRobots) as error:
+    except MissingExtra as error:
+        if scene.robot is None:
+            raise
         raise LeftOut(str(error)) from error
 
 
@@ -158,7 +154,7 @@ class _Spy:
         try:
             self._dynamics.carry(robot)
         except (AttributeError, ValueError) as error:
-            raise NoRobots(f"the solver has no robots (Dynamics.carry): {error}") from error
+            raise LeftOut(f"the solver has no robots (Dynamics.carry): {error}") from error
 
     def begin(self, planned: Planned | None) -> BodyStates:
         return self._dynamics.begin(planned)

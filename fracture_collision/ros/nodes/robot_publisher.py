@@ -37,17 +37,18 @@ class RobotPublisher:
         for publisher in self._latched:  # late joiners must receive this robot only
             self._node.destroy_publisher(publisher)
         self._latched, self._said = [], None
-        self._urdf = None if robot is None else read_urdf(robot.urdf)
-        if robot is None or self._urdf is None:
+        self._urdf = None
+        if robot is None:
             return
+        urdf = self._urdf = read_urdf(robot.urdf)
         self._latch(qos.ROBOT_DESCRIPTION, String(data=robot.description()))
         if qos.TFMessage is None:
             self._node.get_logger().warning("tf2_msgs is not installed: the robot's frames are not published on /tf")
             return
-        base = _transform(heading(0.0), WORLD, self._urdf.root, robot.position, robot.orientation)
+        base = _transform(heading(0.0), WORLD, urdf.root, robot.position, robot.orientation)
         fixed = [
             _transform(heading(0.0), joint.parent, joint.child, *joint.frame(0.0))
-            for joint in self._urdf.joints if joint.kind == "fixed"
+            for joint in urdf.joints if joint.kind == "fixed"
         ]  # fmt: skip
         self._latch(qos.TF_STATIC, qos.TFMessage(transforms=[base, *fixed]))
 
