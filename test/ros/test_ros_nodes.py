@@ -12,7 +12,6 @@ from stages.ros_stage import LARGEST_MESSAGE, StageWithClients
 from worlds.broken_bar import BAR, GROUND, STATES, expected_contacts, tell_all
 from worlds.gate_world import FIRST, SECOND, record_bytes
 
-from campaigns.soak import processor_seconds
 from fracture_collision.records import INVALID_STATES
 from fracture_collision.ros.processes.node_process import NodeProcess, free_domain_id, loopback_environment
 from fracture_collision.ros.wire.cdr_records import serialize_record
@@ -131,20 +130,15 @@ def test_a_signal_while_kernels_load_ends_the_process_at_once() -> None:
 
 
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
-def test_start_up_takes_little_processor_time_and_a_signal_ends_it(
-    stage: StageWithClients, order: signal.Signals
-) -> None:
-    """With cached kernels, at most three seconds of processor time.
-
-    On a busy machine wall time would include the work of other processes.
-    """
+def test_start_up_loads_its_kernels_and_a_signal_ends_it(stage: StageWithClients, order: signal.Signals) -> None:
+    """With cached kernels nothing is compiled, neither before "ready" nor by the first answer."""
     client = stage.client()
     tell_all(client, 1)
     service = stage.start("collision_node", threads=1)
     client.await_service()
     client.ask(STATES, 1)
-    assert 0.0 < processor_seconds(service.pid) < 3.0
     assert "loading kernels" in service.log_text() and "ready" in service.log_text()
+    assert "compil" not in service.log_text()
     service.send_signal(order)
     assert service.wait(10.0) == 0
     assert "Traceback" not in service.log_text()
