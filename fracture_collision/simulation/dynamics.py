@@ -97,6 +97,9 @@ class Dynamics(Protocol):
     def move(self) -> Moved:
         """Move all bodies one time step on, as solved."""
 
+    def is_asleep(self) -> bool:
+        """Whether nothing moved in the last step, and nothing will with the same contacts and without pushes."""
+
     def close(self) -> None:
         """Release resources."""
 
@@ -120,6 +123,10 @@ class SleepingWorld(RigidBodyWorld):
         """As in Dynamics: none."""
         return {}
 
+    def is_asleep(self) -> bool:
+        """As in Dynamics: robots and links never sleep."""
+        return self._robot is None and not self.links() and bool(self._rest.asleep.all())
+
     def _never_at_rest(self, given: Given) -> np.ndarray:
         """(n,) bool: bodies that do not sleep, nor what they touch: a motor may move the robot at any time."""
         return self._is_robot(given.states)
@@ -137,7 +144,9 @@ class SleepingWorld(RigidBodyWorld):
         """`moves` (n, 6) [m/s, rad/s]: velocities that moved the poses in a step."""
         states, sizes = given.states, given.traits.forms.sizes[:-1]
         farthest = sleep.farthest_at_rest(self._settings, sizes, self._gravity)
-        self._rest = sleep.after_step(self._rest, states.masses, states.inertias, moves, farthest, self._time_step)
+        self._rest = sleep.after_step(
+            self._rest, states.masses, states.inertias, moves, farthest, self._settings.sleep_time, self._time_step
+        )
 
     def _before_contacts(self, states: BodyStates, planned: Planned | None, spans: np.ndarray) -> BodyStates:
         """`states` with the velocities of a step of `spans` (n,) [s] before contacts.

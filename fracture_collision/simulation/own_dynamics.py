@@ -146,6 +146,10 @@ class OwnDynamics(SleepingWorld):
             self._remember_waiting(given, moved)
         return Moved(-float((states.masses * moved * dots(drifting[:, :3], self._gravity)).sum()), work)
 
+    def is_asleep(self) -> bool:
+        """As in Dynamics."""
+        return self._waited is None and super().is_asleep()
+
     def _remember_waiting(self, given: Given, moved: np.ndarray) -> None:
         """Keep what the next step needs to make up for this one, in which bodies moved for `moved` (n,) [s]."""
         states, time_step = given.states, self._time_step

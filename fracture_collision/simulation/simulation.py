@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,6 +56,20 @@ from fracture_collision.simulation.solver.touch_ahead import StepContacts, chose
 from fracture_collision.simulation.step_records import LookaheadCheck, StepReport, StepRequest, fragment_states
 
 
+class _Still(NamedTuple):
+    """A step through which all bodies slept: without pushes, the next one is the same if its contacts are."""
+
+    states: BodyStates  # after it
+    contacts: ContactConstraintArray
+    report: StepReport
+
+    def goes_on(self, states: BodyStates, contacts: ContactConstraintArray) -> bool:
+        """Whether a step with `states` and `contacts` is the same. A scene at rest takes a quarter of the time so."""
+        before: tuple[Any, ...] = self.contacts._replace(step=contacts.step)
+        now: tuple[Any, ...] = contacts
+        return states is self.states and all(np.array_equal(x, y) for x, y in zip(before, now, strict=True))
+
+
 class Simulation:
     """A run of one scene. The same scene, seed and answers give the same states, byte for byte.
 
@@ -80,6 +95,7 @@ class Simulation:
         self._requested: FragmentStates | None = None
         self._planned: Planned | None = None  # of this step, where the service gets the pushes in advance
         self._taken = NO_CHANGES  # by contacts in the last step
+        self._still: _Still | None = None  # the last step, if all bodies slept through it
         names = {i: body.name for i, body in self._cast.body_of.items()}
         self.drag = Drag(scene.hand, names, self._cast.body_id_of, self._cast.breakable)
         self._pushers: list[Pusher] = [self.drag]
@@ -170,8 +186,14 @@ class Simulation:
         self._events.clear()
         self._cast.admit_waiting(registry, self.dynamics)
         states = self.dynamics.states()
+        plan, self._planned = self._planned, None
+        pushes = self._pushes(states) if plan is None else Pushes(plan.pushes.of(states.fragment_ids), plan.energy)
+        is_pushed = bool(pushes.velocities.any())
+        if self._still is not None and self._still.goes_on(states, contacts) and not is_pushed:
+            self._step += 1
+            return self._still.report._replace(step=requested.step, time=self.time)
         started = time.perf_counter()
-        given, deepest_gap, pushed_energy = self._given(states, contacts, requested)
+        given, deepest_gap = self._given(states, contacts, requested, pushes.velocities, plan)
         solved = self.dynamics.solve(given)
         if self._looks_ahead:
             self._taken = ByFragment(states.fragment_ids, solved.taken)
@@ -183,7 +205,7 @@ class Simulation:
         kinetic, potential = self._energies(moved)
         started = time.perf_counter()
         self._break_overloaded(given, moved, solved)
-        return StepReport(
+        report = StepReport(
             step=requested.step,
             time=self.time,
             contacts=len(contacts.gaps),
@@ -196,8 +218,12 @@ class Simulation:
             max_speed=float(lengths(moved.linear).max(initial=0.0)),
             deepest_gap=deepest_gap,
             events=list(self._events),
-            hand_energy=pushed_energy + gained.robot_energy,
+            hand_energy=pushes.energy + gained.robot_energy,
         )
+        self._still = None
+        if self.dynamics.is_asleep() and not is_pushed:
+            self._still = _Still(moved, contacts, report._replace(solver_seconds=0.0))
+        return report
 
     def _energies(self, states: BodyStates) -> tuple[float, float]:
         """Kinetic and potential energy [J] of all bodies but a robot's, whose masses its own engine has."""
@@ -241,9 +267,10 @@ class Simulation:
         return self._requested
 
     def _given(
-        self, states: BodyStates, contacts: ContactConstraintArray, requested: FragmentStates
-    ) -> tuple[Given, float, float]:
-        """The contacts of `requested` as the engine gets them, their smallest gap [m], and the pushes' energy [J]."""
+        self, states: BodyStates, contacts: ContactConstraintArray, requested: FragmentStates, pushes: np.ndarray,
+        plan: Planned | None,
+    ) -> tuple[Given, float]:  # fmt: skip
+        """The contacts of `requested` as the engine gets them, with pushes (n, 6), and their smallest gap [m]."""
         if self.robot is not None:
             contacts = self._without_robots_own(contacts)
         deepest_gap = float(contacts.gaps.min(initial=0.0))
@@ -257,10 +284,7 @@ class Simulation:
         contacts, self._memory = with_remembered(contacts, requested, self._memory, reach)
         gaps = rest_gaps_of(self._memory, shared.is_one_body, settings.rest_gap * shared.sizes)
         pairs = self._body_pairs(shared, gaps)
-        plan, self._planned = self._planned, None
-        pushes = self._pushes(states) if plan is None else Pushes(plan.pushes.of(states.fragment_ids), plan.energy)
-        given = Given(states, StepContacts(contacts, pairs, ahead, pairs_ahead), traits, pushes.velocities, plan)
-        return given, deepest_gap, pushes.energy
+        return Given(states, StepContacts(contacts, pairs, ahead, pairs_ahead), traits, pushes, plan), deepest_gap
 
     def _break_overloaded(self, given: Given, moved: BodyStates, solved: Solved) -> None:
         """Break the overloaded fragments, those of the `given` states before the step; `moved`: after it."""

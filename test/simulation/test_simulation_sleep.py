@@ -7,16 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from worlds.gate_world import record_bytes
 from worlds.served_scene import ServedScene
 from worlds.small_scenes import GROUND, box, small_scene
 
 from fracture_collision.records import ContactConstraintArray, FragmentStates
 from fracture_collision.simulation.scene.scene import Scene
-from fracture_collision.simulation.simulation import Simulation
+from fracture_collision.simulation.simulation import Simulation, _Still
 from fracture_collision.simulation.solver.contact_memory import NOTHING, rest_gaps_of, with_remembered
 from fracture_collision.simulation.solver.contact_solver import SolverSettings
 from fracture_collision.simulation.solver.sleep import Rest, after_step
@@ -96,6 +98,27 @@ def test_a_block_that_lands_wakes_the_stack(run_of) -> None:
     run.until_asleep(3)
 
 
+@pytest.mark.parametrize("engine", ["own", "mujoco"])
+def test_a_step_that_is_taken_from_the_last_one_equals_one_that_is_solved(run_of, monkeypatch, engine: str) -> None:
+    """A stack at rest, then a block that lands on it, then a hand."""
+    late = block("late", 0.3, start_time=1.5)
+    scene = scene_of(block("lower", 0.051), block("upper", 0.1515), late, engine=engine)
+    runs, reports, solved = [run_of(scene), run_of(scene)], [], []
+    for run, is_kept in zip(runs, (True, False), strict=True):
+        if not is_kept:
+            monkeypatch.setattr(_Still, "goes_on", lambda *_: False)
+        solve = Mock(wraps=run.simulation.dynamics.solve)
+        monkeypatch.setattr(run.simulation.dynamics, "solve", solve)
+        reports.append([run.step()._replace(solver_seconds=0.0) for _ in range(1400)])
+        run.simulation.grab("late", np.array([0.0, 0.0, 0.5]))
+        reports[-1] += [run.step()._replace(solver_seconds=0.0) for _ in range(40)]
+        solved.append(solve.call_count)
+    assert solved[1] == 1440 > solved[0] + 400
+    assert reports[0] == reports[1]
+    for one, other in zip(*(run.requests for run in runs), strict=True):
+        assert record_bytes(one.states) == record_bytes(other.states)
+
+
 def test_a_block_falls_when_its_support_is_removed(run_of) -> None:
     run = run_of(scene_of(block("lower", 0.051), block("upper", 0.1515)))
     run.until_asleep(2)
@@ -122,17 +145,22 @@ def test_a_fracture_wakes_touching_bodies(run_of) -> None:
 
 
 def test_slow_bodies_count_as_quiet() -> None:
-    """At 0.9 and 1.1 mm/s, spinning, oscillating in place at 16 mm/s, and at rest."""
-    n, steps, time_step = 5, 101, 0.0025
+    """At 0.9 and 1.1 mm/s, spinning, oscillating in place at 16 mm/s, and at rest.
+
+    The first one creeps on: it stays quiet in every step from then on, or a heap of many would hardly fall asleep.
+    """
+    n, steps, time_step, sleep_time = 5, 801, 0.0025, SolverSettings().sleep_time
+    quiet = np.zeros((steps, n), bool)
     rest = Rest(np.arange(n, dtype=np.uint32), np.zeros(n), np.zeros(n, bool), np.zeros((n, 6)))
     inertias = np.tile(1e-4 * np.eye(3), (n, 1, 1))
     for step in range(steps):
         moves = np.zeros((n, 6))
         moves[0, 0], moves[1, 0], moves[2, 5] = 0.9e-3, 1.1e-3, 0.2
         moves[3, 1] = 16e-3 if step % 2 else -16e-3
-        rest = after_step(rest, np.ones(n), inertias, moves, np.full(n, 0.25e-3), time_step)
-    quiet = rest.quiet >= SolverSettings().sleep_time
-    assert quiet.tolist() == [True, False, False, True, True]
+        rest = after_step(rest, np.ones(n), inertias, moves, np.full(n, 0.25e-3), sleep_time, time_step)
+        quiet[step] = rest.quiet >= sleep_time
+    assert quiet[101:].all(axis=0).tolist() == [True, False, False, True, True]
+    assert not quiet[:99].any() and not quiet[:, 1:3].any()
     assert rest.quiet[4] == pytest.approx(steps * time_step)
 
 

@@ -3,9 +3,11 @@
 With an accurate solver a heap creeps by nanometres for ever, so caches that rely on unmoved bodies would never hit. An
 island (`contact_islands`) falls asleep once each of its bodies has moved, for `sleep_time`, no farther than
 `sleep_speed` would have taken it. Displacement counts, as in Jolt, not speed: a shard that trembles between two normals
-of a sharp corner would keep a heap awake. Sleeping bodies keep their poses to the last bit and are not solved; their
-impulses are kept. An island wakes as a whole when an awake body touches one of its bodies, when a hand, a hammer or an
-arm pushes one, or when a fragment that one of them touched is gone: it broke, or left the scene.
+of a sharp corner would keep a heap awake. It counts by windows of `sleep_time`: a body that creeps stays quiet, or the
+bodies of a large heap, each with a pause of its own, would hardly ever be quiet at once. Sleeping bodies keep their
+poses to the last bit and are not solved; their impulses are kept. An island wakes as a whole when an awake body touches
+one of its bodies, when a hand, a hammer or an arm pushes one, or when a fragment that one of them touched is gone: it
+broke, or left the scene.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ class Rest(NamedTuple):
     fragment_ids: np.ndarray  # (n,) uint32
     quiet: np.ndarray  # (n,) float64 [s]: how long each has hardly moved
     asleep: np.ndarray  # (n,) bool
-    gone: np.ndarray  # (n, 6) float64 [m], [rad]: displacement since then
+    gone: np.ndarray  # (n, 6) float64 [m], [rad]: displacement since the last multiple of `sleep_time` of that time
 
 
 NOBODY = Rest(np.zeros(0, np.uint32), np.zeros(0), np.zeros(0, bool), np.zeros((0, 6)))
@@ -72,7 +74,7 @@ def settled(rest: Rest, begin: np.ndarray, body_a: np.ndarray, body_b: np.ndarra
     quiet, asleep = rest.quiet.copy(), np.zeros(len(rest.asleep), bool)
     islands = islands_of(begin, body_a, body_b, len(rest.asleep))
     _settle(islands.bodies, islands.body_begin, rest.asleep, sleep_time, quiet, asleep)
-    return rest._replace(quiet=quiet, asleep=asleep)
+    return rest._replace(quiet=quiet, asleep=asleep, gone=np.where(asleep[:, None], 0.0, rest.gone))
 
 
 @cached_njit
@@ -102,18 +104,25 @@ def farthest_at_rest(settings: SolverSettings, sizes: np.ndarray, gravity: np.nd
 
 
 def after_step(
-    rest: Rest, masses: np.ndarray, inertias: np.ndarray, moves: np.ndarray, farthest: np.ndarray, time_step: float
+    rest: Rest,
+    masses: np.ndarray,
+    inertias: np.ndarray,
+    moves: np.ndarray,
+    farthest: np.ndarray,
+    sleep_time: float,
+    time_step: float,
 ) -> Rest:
     """Rest after a step that moved the poses with velocities `moves` (n, 6) [m/s, rad/s], drift correction included.
 
-    farthest (n,) [m]: as far as a body may move that is to fall asleep.
+    farthest (n,) [m]: as far as a body may move within `sleep_time` [s] that is to fall asleep.
     """
-    quiet, gone = _stay(rest.quiet, rest.gone, masses, inertias, moves, farthest, time_step)
+    window = max(sleep_time, time_step)
+    quiet, gone = _stay(rest.quiet, rest.gone, masses, inertias, moves, farthest, window, time_step)
     return rest._replace(quiet=quiet, gone=gone)
 
 
 @cached_njit
-def _stay(quiet, gone, masses, inertias, moves, farthest, time_step):
+def _stay(quiet, gone, masses, inertias, moves, farthest, window, time_step):
     """A rotation counts as the RMS displacement of the body's points, by the inertia tensor as in kinetic energy."""
     after, way = np.zeros(len(quiet)), gone + time_step * moves
     for i in range(len(quiet)):
@@ -124,6 +133,8 @@ def _stay(quiet, gone, masses, inertias, moves, farthest, time_step):
                 square += way[i, 3 + k] * inertias[i, k, l] * way[i, 3 + l]
         if square < masses[i] * farthest[i] * farthest[i]:
             after[i] = quiet[i] + time_step
+            if np.floor(after[i] / window) > np.floor(quiet[i] / window):
+                way[i] = 0.0
         else:
             way[i] = 0.0
     return after, way
