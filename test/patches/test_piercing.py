@@ -141,3 +141,14 @@ def test_more_triangles_than_there_is_room_for_are_no_list() -> None:
     cube = make_surface(np.ascontiguousarray(trimesh.creation.box((1.0, 1.0, 1.0)).triangles.reshape(-1, 9)))
     poses = (np.eye(3), np.zeros(3)), (np.eye(3), np.array([1.0 + 1e-6, 0.0, 0.0]))
     assert do_pierce(cube, cube, poses, np.array([1.0, 0.0, 0.0]), (np.empty((3, 2), np.int32), 1e-3)) == (False, -1)
+
+
+def test_triangles_out_of_reach_are_not_listed() -> None:
+    """Two cubes, one edge across another: their faces are in each other's planes, however far these are apart."""
+    cube = make_surface(np.ascontiguousarray(trimesh.creation.box((1.0, 1.0, 1.0)).triangles.reshape(-1, 9)))
+    u, v, w = np.array([1.0, 1.0, 0.0]) / 2**0.5, np.array([-1.0, 1.0, 0.0]) / 2**0.5, np.array([0.0, 0.0, 1.0])
+    turn, room = np.column_stack((u + w, 2**0.5 * v, w - u)) / 2**0.5, np.empty((200, 2), np.int32)
+    for gap, is_listed in ((-0.01, False), (0.09, True), (0.11, False)):
+        poses = (np.eye(3), np.zeros(3)), (turn, (2**0.5 + gap) * u)
+        pierce, count = do_pierce(cube, cube, poses, w, (room, 0.1))
+        assert pierce == (gap < 0.0) and (count > 0) == is_listed

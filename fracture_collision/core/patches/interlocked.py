@@ -43,6 +43,7 @@ from fracture_collision.core.memory.vectors import (
     plus_scaled,
     put,
     vector,
+    vector_at,
 )
 from fracture_collision.core.patches.facing_points import (
     FacingPoints,
@@ -320,17 +321,22 @@ def _part_share(surfaces, pools, lists, moving, known, out, scratch, part):
         along, slot, reach = scratch.toward, slots[p], 0.0
         # how far the two may yet move until other triangles may pierce each other than those listed [m]
         left = _left_of(pools, surfaces, pair, lists.close, slot)
-        if rows[0] == rows[1] and not (left >= 0.0 and left >= length(vector(lists.close.by, slot))):
-            for d in range(3):
-                along[d] = lists.toward[slot, d] if slot >= 0 else 0.0
-            gap, n = gap_of_hulls(pools, pair, 0.0, along, scratch)
-            along[0], along[1], along[2] = n
-            if gap > 0.0:
-                out.bounds[p] = 0.0
-                continue
         i, j = step.pairs[p, 0], step.pairs[p, 1]
         if not (motion.time > 0.0 and closing_speed(motion, i, j, 0.0, motion.time) * motion.time > tolerance):
             reach = tolerance
+        if rows[0] == rows[1]:
+            is_listed = left >= 0.0 and left >= length(vector(lists.close.by, slot))
+            gap = math.inf if is_listed and lists.close.counts[slot] == 0 else 0.0
+            if not is_listed:
+                for d in range(3):
+                    along[d] = lists.toward[slot, d] if slot >= 0 else 0.0
+                gap, n = gap_of_hulls(pools, pair, reach, along, scratch)
+                along[0], along[1], along[2] = n
+                if gap > 0.0 and slot >= 0 and reach > 0.0:
+                    _keep_list(lists.close, slot, surfaces, pair, (0, (0.0, 0.0, 0.0), gap))
+            if gap > 0.0:
+                out.bounds[p] = 0.0
+                continue
         is_sampled = pools.fragment.kind[pair.a] == TETRAHEDRA and pools.fragment.kind[pair.b] == TETRAHEDRA
         its = Wanted(tolerance, moved, rule.wanted), is_sampled, along
         begin, end = rule.wanted * turn, rule.wanted * (turn + 1)
@@ -515,10 +521,17 @@ def _are_apart(surfaces, pair, x, n, kept):
     if slot < 0 or not reach > 0.0:
         return not do_pierce(a, b, poses, n, (np.empty((0, 2), np.int32), 0.0))[0]
     pierces, count = do_pierce(a, b, poses, n, (lists.pairs[slot], reach))
-    lists.counts[slot], lists.by[slot], lists.reach[slot] = count, x, reach
+    _keep_list(lists, slot, surfaces, pair, (count, vector_at(x, 0), reach))
+    return not pierces
+
+
+@query_kernel
+def _keep_list(lists, slot, surfaces, pair, listed):
+    """Describe the triangles that were listed of a Pair: how many, b's translation [m], and the reach [m]."""
+    lists.counts[slot], by, lists.reach[slot] = listed
+    put(lists.by, slot, by)
     lists.surfaces[slot, 0], lists.surfaces[slot, 1] = surfaces.stamps[pair.a], surfaces.stamps[pair.b]
     keep_pose(pair.rotation, pair.translation, lists.at[slot])
-    return not pierces
 
 
 @kernel

@@ -38,6 +38,7 @@ from fracture_collision.core.samples.sample_leaves import place_on_curve
 _OUTSIDE = -1  # of all overlaps
 BLOCK = 8  # triangles whose common box is looked at first
 ROUNDING = 1e-12  # of coordinates, as a share
+PARALLEL = 1e-6  # square of the sine of an angle between parallel sides
 
 
 class Overlaps(NamedTuple):
@@ -137,6 +138,8 @@ def do_pierce(a, b, poses, n, listed):
                     _know(side_b, s)
                     if not _planes_cut(side_a.flat, t, side_b.flat, s, reach, distances):
                         continue
+                    if reach > 0.0 and _are_beyond(side_a.flat[t], side_b.flat[s], reach):
+                        continue
                     if _edges_pierce(side_a.flat, t, side_b.flat, s, distances):
                         return True, -1
                     if 0 <= used < len(rows):
@@ -150,13 +153,30 @@ def do_pierce(a, b, poses, n, listed):
 @kernel
 def do_listed_pierce(a, b, poses, rows):
     """Whether any of pairs (k, 2) of triangles of two Surfaces pierce each other, see do_pierce: to the last bit."""
-    flat, distances = np.empty((2, 13)), np.empty(6)
+    flat, distances, last = np.empty((2, 13)), np.empty(6), -1
     for k in range(len(rows)):
-        _put_flat(a, rows[k, 0], poses[0], flat[0])
+        if rows[k, 0] != last:  # do_pierce lists all of one after the other
+            last = rows[k, 0]
+            _put_flat(a, last, poses[0], flat[0])
+        if _is_beside_plane(flat[0], b, rows[k, 1], poses[1]):
+            continue
         _put_flat(b, rows[k, 1], poses[1], flat[1])
         if _planes_cut(flat, 0, flat, 1, 0.0, distances) and _edges_pierce(flat, 0, flat, 1, distances):
             return True
     return False
+
+
+@query_kernel
+def _is_beside_plane(flat, surface, t, pose):
+    """Whether the corners of a row of a _flat are all on one side of the plane of a triangle of a Surface at a pose.
+
+    The first half of _planes_cut without the rest of _put_flat: few of the triangles listed get past it.
+    """
+    turn, place = pose
+    normal = rotated(turn, vector(surface.normals, t))
+    height = dot(normal, to_other(turn, place, vector(surface.corners, surface.triangles[t, 0])))
+    x, y, z = dot(normal, vector_at(flat, 0)), dot(normal, vector_at(flat, 3)), dot(normal, vector_at(flat, 6))
+    return not (min(x, y, z) - height < 0.0 and max(x, y, z) - height > 0.0)
 
 
 @query_kernel
@@ -452,6 +472,38 @@ def _planes_cut(a, i, b, j, reach, distances):
         if not near:
             break
     return near
+
+
+@query_kernel
+def _are_beyond(a, b, reach):
+    """Whether rows of two _flat are farther than `reach` [m] from each other, along one of the axes of two triangles.
+
+    The planes' own are left to _planes_cut; with all of them, triangles that are apart are so along one (Ericson 2005).
+    """
+    for i in range(3):
+        p = minus(vector_at(a, 3 * ((i + 1) % 3)), vector_at(a, 3 * i))
+        q = minus(vector_at(b, 3 * ((i + 1) % 3)), vector_at(b, 3 * i))
+        if _are_beyond_along(a, b, cross(p, vector_at(a, 9)), dot(p, p), reach):
+            return True
+        if _are_beyond_along(a, b, cross(q, vector_at(b, 9)), dot(q, q), reach):
+            return True
+        for j in range(3):
+            r = minus(vector_at(b, 3 * ((j + 1) % 3)), vector_at(b, 3 * j))
+            if _are_beyond_along(a, b, cross(p, r), dot(p, p) * dot(r, r), reach):
+                return True
+    return False
+
+
+@query_kernel
+def _are_beyond_along(a, b, axis, size, reach):
+    """The same along an axis, unless rounding decides its direction; size: of the square of its length, the most."""
+    square = dot(axis, axis)
+    if square < PARALLEL * size:
+        return False
+    x, y, z = dot(axis, vector_at(a, 0)), dot(axis, vector_at(a, 3)), dot(axis, vector_at(a, 6))
+    u, v, w = dot(axis, vector_at(b, 0)), dot(axis, vector_at(b, 3)), dot(axis, vector_at(b, 6))
+    gap = max(min(x, y, z) - max(u, v, w), min(u, v, w) - max(x, y, z))
+    return gap > 0.0 and gap * gap > (1.0 + PARALLEL) * reach * reach * square
 
 
 @query_kernel
