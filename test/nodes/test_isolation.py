@@ -26,6 +26,20 @@ while time.monotonic() < deadline and not seen:
     time.sleep(0.05)
 print("saw", seen)
 """
+# A link that is not up yet hides a service, too.
+LISTEN = f"import socket; s = socket.create_server(('{HERE}', 7999)); s.settimeout(25.0); s.accept()"
+CONNECT = f"""
+import socket, time
+deadline = time.monotonic() + 20.0
+while True:
+    try:
+        socket.create_connection(('{HERE}', 7999), timeout=1.0)
+        break
+    except OSError:
+        if time.monotonic() > deadline:
+            raise
+        time.sleep(0.05)
+"""
 # Covers a service's startup and several DDS announcements, one every 3 s; a discoverable service is discovered
 # within 5 s.
 PATIENCE = 15.0  # [s]
@@ -64,10 +78,10 @@ def machines() -> Iterator[Machines]:
             ip("-n", machine, "addr", "add", f"{address}/24", "dev", end)
             for link in ("lo", end):
                 ip("-n", machine, "link", "set", link, "up")
-        made = machines.start(machines.here, "-c", "")
-        text, _ = made.communicate(timeout=20.0)
-        if made.returncode != 0:
-            raise OSError(text)
+        pair = machines.start(machines.here, "-c", LISTEN), machines.start(machines.elsewhere, "-c", CONNECT)
+        texts = [end.communicate(timeout=40.0)[0] for end in reversed(pair)]
+        if any(end.returncode != 0 for end in pair):
+            raise OSError("; ".join(texts))
     except (OSError, subprocess.CalledProcessError) as error:
         for machine in machines:
             subprocess.run(["ip", "netns", "del", machine], capture_output=True)
