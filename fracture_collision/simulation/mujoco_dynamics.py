@@ -72,8 +72,8 @@ from fracture_collision.simulation.solver.warm_start import (  # noqa: E402
 # Bytes of an mjContact in the release that requirements/mujoco.in pins: contacts are written to its arena at once, as
 # mj_addContact takes the longer the more there are.
 CONTACT_BYTES = 608
-# Slots at first; twice as many are compiled when they run out.
-SLOTS = 64
+# Slots at first; twice as many are compiled when they run out, which takes 30 ms. Free ones cost next to nothing.
+SLOTS = 256
 ARENA = 256 << 20  # [bytes] 65,000 contacts take 40 MB
 # MuJoCo's impedance: near to 1 the problem is ill conditioned, and piles do not converge.
 IMPEDANCE = 0.99
