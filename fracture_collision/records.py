@@ -7,11 +7,14 @@ vectors have a row each, see WIDTHS; in the messages they are flat. Nothing is v
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+
+from fracture_collision.extras import need
 
 ADD = 0
 REMOVE = 1
@@ -193,6 +196,35 @@ class FragmentStates(NamedTuple):
 
 
 @documented
+class ContactPair(NamedTuple):
+    """Two fragments and the n contacts between them; see ContactConstraintArray.
+
+    Fields:
+      a: id of the fragment with the smaller one
+      b: id of the other
+      points_a: (n, 3) float64 [m], world: witness point on a
+      points_b: (n, 3) float64 [m], world: witness point on b
+      normals: (n, 3) float64, unit, world axes, from a to b
+      gaps: (n,) float64 [m], negative: penetration
+      contact_ids: (n,) uint64
+      friction: of the two
+      restitution: of the two
+      missed_depth_bound: [m]
+    """
+
+    a: int
+    b: int
+    points_a: np.ndarray
+    points_b: np.ndarray
+    normals: np.ndarray
+    gaps: np.ndarray
+    contact_ids: np.ndarray
+    friction: float
+    restitution: float
+    missed_depth_bound: float
+
+
+@documented
 class ContactConstraintArray(NamedTuple):
     """The answer to one FragmentStates (ContactConstraintArray.msg): p pairs with N contacts.
 
@@ -240,6 +272,15 @@ class ContactConstraintArray(NamedTuple):
     def __len__(self) -> int:
         """The number of contacts: a record without any is false."""
         return len(self.gaps)
+
+    def pairs(self) -> Iterator[ContactPair]:
+        """The pairs one by one, each with its contacts, by ascending ids; arrays are views."""
+        for p, (begin, end) in enumerate(itertools.pairwise(self.pair_begin.tolist())):
+            yield ContactPair(
+                int(self.fragment_a[p]), int(self.fragment_b[p]), self.points_a[begin:end], self.points_b[begin:end],
+                self.normals[begin:end], self.gaps[begin:end], self.contact_ids[begin:end], float(self.friction[p]),
+                float(self.restitution[p]), float(self.missed_depth_bound[p]),
+            )  # fmt: skip
 
 
 def _made_of_fields(fields: Iterable[Any]) -> ContactConstraintArray:
@@ -306,3 +347,11 @@ class FragmentMesh(NamedTuple):
     vertices: np.ndarray
     triangles: np.ndarray
     is_crack: np.ndarray
+
+    def to_trimesh(self) -> Any:
+        """The same as a trimesh.Trimesh, which writes files and shows itself; needs the extra `meshing`."""
+        need("meshing", "FragmentMesh.to_trimesh")
+        import trimesh
+
+        attributes: dict[str, Any] = {"is_crack": self.is_crack.astype(np.uint8)}  # .ply has no bool
+        return trimesh.Trimesh(self.vertices, self.triangles, face_attributes=attributes, process=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from fracture_collision.records import (
@@ -11,6 +12,7 @@ from fracture_collision.records import (
     SPHERE,
     CollisionBody,
     ContactConstraintArray,
+    ContactPair,
     FractureEvent,
     FragmentMesh,
     FragmentRegistry,
@@ -22,34 +24,39 @@ from fracture_collision.world.settings import PaperSettings, Settings
 
 if TYPE_CHECKING:
     from fracture_collision.world.collision_world import CollisionWorld
+    from fracture_collision.world.queries import ClosestPoints, Distances, RayHits
 
 __all__ = [
     "BOX",
     "CONE",
     "CYLINDER",
     "SPHERE",
+    "ClosestPoints",
     "CollisionBody",
     "CollisionWorld",
     "ContactConstraintArray",
+    "ContactPair",
+    "Distances",
     "FractureEvent",
     "FragmentMesh",
     "FragmentRegistry",
     "FragmentStates",
     "InvalidMessage",
     "PaperSettings",
+    "RayHits",
     "Settings",
     "SolidPrimitive",
     "StatesAhead",
 ]
 
+_LATE = {"CollisionWorld": "collision_world"} | dict.fromkeys(("ClosestPoints", "Distances", "RayHits"), "queries")
+
 
 def __getattr__(name: str) -> Any:
-    """Import CollisionWorld on first access: it imports numba, which takes half a second.
+    """Import CollisionWorld and what it returns on first access: it imports numba, which takes half a second.
 
     A node announces itself before that.
     """
-    if name != "CollisionWorld":
+    if name not in _LATE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from fracture_collision.world.collision_world import CollisionWorld
-
-    return CollisionWorld
+    return getattr(import_module(f"{__name__}.{_LATE[name]}"), name)

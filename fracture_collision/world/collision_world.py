@@ -17,6 +17,7 @@ from fracture_collision.core.memory.pair import Step
 from fracture_collision.core.pair.broad_phase import NOTHING_PAIRED, Paired, pairs_within_reach
 from fracture_collision.core.pair.narrow_phase import NOTHING_REMEMBERED, Remembered, Scene, query_pairs
 from fracture_collision.core.patches.interlocked import SurfaceTable
+from fracture_collision.core.queries.surface_trees import SurfaceTrees, surface_trees
 from fracture_collision.core.search.kept_answer import PairContacts
 from fracture_collision.core.search.passes import within_limit
 from fracture_collision.core.search.scratch import Scratch, scratch_for
@@ -33,11 +34,22 @@ from fracture_collision.records import (
 from fracture_collision.world.contact_answer import contact_answer
 from fracture_collision.world.first_start import compile_beside
 from fracture_collision.world.fragment_mesh import fragment_mesh
-from fracture_collision.world.gates.checks import identifier, refuse
+from fracture_collision.world.gates.checks import identifier, indices, refuse
 from fracture_collision.world.gates.errors import Rejection, StatesAhead
 from fracture_collision.world.gates.states_gate import CheckedStates, check_states
 from fracture_collision.world.ledger import Ledger
 from fracture_collision.world.present import Present, find_fragments, take_places
+from fracture_collision.world.queries import (
+    ClosestPoints,
+    Distances,
+    RayHits,
+    cast_rays,
+    closest_points,
+    contains,
+    distances,
+    place_of,
+    places_of,
+)
 from fracture_collision.world.registry import Registry
 from fracture_collision.world.settings import Settings, check_settings, settings_text
 
@@ -51,7 +63,7 @@ class _Answered(NamedTuple):
     registry: Registry | None
     changes: int
     settings: Settings | None
-    asked: tuple[bytes, ...]  # ids, positions and orientations, with lookahead also velocities; static bodies
+    asked: tuple[bytes, ...]  # ids, positions and orientations, with lookahead also velocities; static bodies; pairs
     answer: ContactConstraintArray | None
 
 
@@ -82,6 +94,7 @@ class CollisionWorld:
         self._whole_at = self._registry.changes
         self._paired, self._paired_of = NOTHING_PAIRED, self._asked_of()
         self._answered = _NOTHING_ANSWERED
+        self._trees: tuple[tuple[Registry, int, bytes], SurfaceTrees] | None = None
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
         self.last_visits = 0  # leaves and samples, or tree nodes, that the last answer looked at
         self.last_pairs = 0  # fragment pairs that its broad phase found
@@ -129,18 +142,21 @@ class CollisionWorld:
         """Drop what is kept of earlier answers: the next has the same contacts and takes as long as a first one."""
         self._remembered, self._answered, self._paired = NOTHING_REMEMBERED, _NOTHING_ANSWERED, NOTHING_PAIRED
 
-    def contacts(self, states: FragmentStates) -> ContactConstraintArray:
+    def contacts(self, states: FragmentStates, pairs: np.ndarray | None = None) -> ContactConstraintArray:
         """All contacts of the fragments that `states` names, and of the static ones, at its registry.
 
-        Raises StatesAhead for states of an event or a body that has not arrived yet, and InvalidMessage with its reason
-        for those of an event that was rejected (`rejected_event`).
+        pairs (k, 2): only of these pairs of fragment ids, in any order. Raises StatesAhead for states of an event or a
+        body that has not arrived yet, and InvalidMessage with its reason for those of an event that was rejected
+        (`rejected_event`).
         """
         started = perf_counter()
         checked, moving = self._bring_to(states)
         updated = perf_counter()
         static_until = self._registry.static_until(checked.body_sequence)
         columns = checked[2:7] if self.settings.lookahead else checked[2:5]
-        asked = (*(column.tobytes() for column in columns), static_until.to_bytes(8, "little"))
+        chosen = None if pairs is None else indices("pairs", pairs, 2)
+        wanted = b"all" if chosen is None else chosen.tobytes()
+        asked = (*(column.tobytes() for column in columns), static_until.to_bytes(8, "little"), wanted)
         if (again := self._answer_again(checked, asked)) is not None:
             self.last_visits = 0
             self.last_timings = {"update": updated - started, "broad_phase": 0.0, "narrow_phase": 0.0}
@@ -153,18 +169,20 @@ class CollisionWorld:
             pools.fragment, (rows, rotations, positions), motion, here.is_static, self.settings.detection_tolerance,
             self.settings.max_pairs, self._take_paired(),
         )  # fmt: skip
-        pairs = paired.pairs
-        if len(pairs) > self.settings.max_pairs:
+        found_pairs = paired.pairs
+        if len(found_pairs) > self.settings.max_pairs:
             refuse(
                 "limit_exceeded",
                 f"positions: the boxes of more than {self.settings.max_pairs} pairs of fragments overlap (max_pairs)",
             )
+        if chosen is not None:
+            found_pairs = _chosen_pairs(here, found_pairs, chosen)
         pairs_found = perf_counter()
-        found = self._query(Step(rows, rotations, positions, pairs), paired.boxes, motion)
-        answer = contact_answer(checked, here, radius, pairs, found, self.settings)
+        found = self._query(Step(rows, rotations, positions, found_pairs), paired.boxes, motion)
+        answer = contact_answer(checked, here, radius, found_pairs, found, self.settings)
         self._paired, self._answered = paired, _Answered(*self._asked_of(), asked, answer)
         answer = _copy_of(answer)
-        self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)
+        self.last_visits, self.last_pairs = int(found.visits.sum()), len(found_pairs)
         self.last_timings = {
             "update": updated - started, "broad_phase": pairs_found - updated,
             "narrow_phase": perf_counter() - pairs_found,
@@ -197,6 +215,57 @@ class CollisionWorld:
     def _scene(self, step: Step, motion: Motion) -> Scene:
         geometry = self._registry.geometry
         return Scene(geometry.searched, step, motion, self._registry.changes, self._whole_surfaces())
+
+    def distance(self, states: FragmentStates, pairs: np.ndarray) -> Distances:
+        """How far the fragments of each of `pairs` (p, 2), ids, are from each other, and where; however far.
+
+        Raises as `contacts` does, and for a fragment that does not take part at `states`, or two unbounded planes.
+        """
+        here, chosen = self.present(states), indices("pairs", pairs, 2)
+        places = places_of(here, chosen)
+        found = distances(self._registry.geometry.pools, self._surface_trees(here), here, places)
+        overlapping = np.flatnonzero(found.distances == 0.0)
+        if len(overlapping):
+            ids = np.sort(chosen[overlapping], axis=1).tolist()
+            listed = {(pair.a, pair.b): pair for pair in self.contacts(states, pairs=chosen[overlapping]).pairs()}
+            for k, pair in zip(overlapping.tolist(), (listed.get((a, b)) for a, b in ids), strict=True):
+                if pair is None or not pair.gaps.min(initial=0.0) < 0.0:
+                    continue
+                c, is_turned = int(np.argmin(pair.gaps)), chosen[k, 0] > chosen[k, 1]
+                points = (pair.points_b, pair.points_a) if is_turned else (pair.points_a, pair.points_b)
+                found.distances[k], found.points_a[k], found.points_b[k] = pair.gaps[c], points[0][c], points[1][c]
+        return found
+
+    def cast_rays(self, states: FragmentStates, origins: np.ndarray, directions: np.ndarray) -> RayHits:
+        """The first surface that each ray meets, of all fragments that take part at `states`; from either side.
+
+        origins (n, 3) [m], directions (n, 3) of any length, world. Raises as `contacts` does, and for a direction of
+        length 0.
+        """
+        here = self.present(states)
+        return cast_rays(self._registry.geometry.pools, self._surface_trees(here), here, origins, directions)
+
+    def closest_points(self, states: FragmentStates, fragment_id: int, points: np.ndarray) -> ClosestPoints:
+        """The points of a fragment's surface that are nearest to points (n, 3) [m], world, with signed distances.
+
+        Exact however far a point is, and on concave fragments. Raises as `contacts` does, and for a fragment that does
+        not take part at `states`.
+        """
+        here = self.present(states)
+        k = place_of(here, fragment_id)
+        return closest_points(self._registry.geometry.pools, self._surface_trees(here), here, k, points)
+
+    def contains(self, states: FragmentStates, fragment_id: int, points: np.ndarray) -> np.ndarray:
+        """Which of the points (n, 3) [m], world, lie in a fragment: (n,) bool. Each point of a body lies in one."""
+        here = self.present(states)
+        return contains(self._registry.geometry.pools, here, place_of(here, fragment_id), points)
+
+    def _surface_trees(self, here: Present) -> SurfaceTrees:
+        """Trees of the surfaces of the fragments `here`, made when they are asked for."""
+        asked = self._registry, self._registry.changes, here.rows.tobytes()
+        if self._trees is None or self._trees[0] != asked:
+            self._trees = asked, surface_trees(self._registry.geometry.pools, here.rows)
+        return self._trees[1]
 
     @property
     def geometry(self) -> CollisionGeometry:
@@ -325,6 +394,13 @@ class CollisionWorld:
         if found.min(initial=0) < 0:
             self._ledger.require_living(states.fragment_ids, states.fracture_sequence)
         return found
+
+
+def _chosen_pairs(here: Present, pairs: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Those of `pairs` (p, 2), indices into the fragments `here`, that `chosen` (k, 2) names by their ids."""
+    places = np.sort(places_of(here, chosen), axis=1)
+    keys = pairs[:, 0] * len(here.ids) + pairs[:, 1]
+    return np.ascontiguousarray(pairs[np.isin(keys, places[:, 0] * len(here.ids) + places[:, 1])])
 
 
 def _copy_of(answer: ContactConstraintArray) -> ContactConstraintArray:

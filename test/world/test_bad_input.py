@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import tracemalloc
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
@@ -26,9 +25,8 @@ from campaigns.bad_input.campaign import (
 from campaigns.bad_input.clean_scene import SETTINGS
 from campaigns.bad_input.doors import REFUSED, TAKEN
 from campaigns.bad_input.mutations import ANY_KIND
-from campaigns.bad_input.refusal_sites import counted, refusal_sites
+from campaigns.bad_input.refusal_sites import counted, files_of_messages, refusal_sites
 from campaigns.bad_input.trial import REJECTED, Bench, Case, several
-from fracture_collision import world
 
 CASES = 100_000
 
@@ -51,7 +49,7 @@ def test_refusal_sites_are_all_lines_that_reject() -> None:
     """Those read from the syntax are those found in the text; otherwise a line without a case would go unnoticed."""
     sites = Counter(site.file for site in refusal_sites())
     assert sites.total() > 60
-    for file in sorted(Path(world.__path__[0]).rglob("*.py")):
+    for file in files_of_messages():
         text = re.sub(r"def refuse\(.*?(?=\n\S|\Z)", "", file.read_text(encoding="utf-8"), flags=re.DOTALL)
         assert sites[str(file)] == len(re.findall(r"\brefuse\(|raise \w*(?:Invalid|Ahead)\w*\(", text)), file.name
 

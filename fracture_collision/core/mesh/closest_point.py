@@ -89,6 +89,16 @@ def triangle_normal(ax, ay, az, bx, by, bz, cx, cy, cz):
 def segment_distance(r, s):
     """Distance [m] of two segments of non-zero length: r and s (6, or more), begin and end."""
     u, v, w = minus(vector_at(r, 3), r), minus(vector_at(s, 3), s), minus(r, s)
+    k, l = nearest_of_segments(u, v, w)  # noqa: E741
+    return length(minus(plus_scaled(w, k, u), scaled(l, v)))
+
+
+@query_kernel
+def nearest_of_segments(u, v, w):
+    """Shares of two segments u and v, not of length 0, at which they are nearest: Ericson 2005, section 5.1.9.
+
+    w: from the begin of the second to that of the first.
+    """
     uu, vv, uv, uw, vw = dot(u, u), dot(v, v), dot(u, v), dot(u, w), dot(v, w)
     n2 = uu * vv - uv * uv
     k = min(max((uv * vw - uw * vv) / n2, 0.0), 1.0) if n2 > 0.0 else 0.0
@@ -96,4 +106,4 @@ def segment_distance(r, s):
     if not 0.0 <= l <= 1.0:
         l = 0.0 if l < 0.0 else 1.0  # noqa: E741
         k = min(max((uv * l - uw) / uu, 0.0), 1.0)
-    return length(minus(plus_scaled(w, k, u), scaled(l, v)))
+    return k, l

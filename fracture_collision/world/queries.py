@@ -1,0 +1,169 @@
+"""Questions about the fragments of a step beside their contacts: rays, closest points, which points are inside.
+
+Depths, distances and normals are those of the exact surfaces, cracks included, whatever `method` the contacts have.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fracture_collision.core.memory.kinds import PLANE
+from fracture_collision.core.memory.pools import Pools
+from fracture_collision.core.mesh.triangle_field import build_hierarchy
+from fracture_collision.core.pair.broad_phase import world_boxes
+from fracture_collision.core.queries.closest_points import closest, contained
+from fracture_collision.core.queries.distances import pair_distances
+from fracture_collision.core.queries.rays import NOTHING, PlacedFragments, first_hits
+from fracture_collision.core.queries.surface_trees import SurfaceTrees
+from fracture_collision.core.search.scratch import make_scratch
+from fracture_collision.portable_math import lengths
+from fracture_collision.records import documented
+from fracture_collision.world.gates.checks import LARGEST_LENGTH, floats, identifier, refuse
+from fracture_collision.world.present import Present
+
+NO_FRAGMENT = -1
+ROUNDING = 1e-12  # of places in the world, as a share
+
+
+@documented
+class RayHits(NamedTuple):
+    """What n rays meet first.
+
+    Fields:
+      fragment_ids: (n,) int64, -1 where a ray meets nothing
+      distances: (n,) float64 [m] from the origin; infinity where a ray meets nothing
+      normals: (n, 3) float64, outward normal of the surface there, world; zeros where a ray meets nothing
+    """
+
+    fragment_ids: np.ndarray
+    distances: np.ndarray
+    normals: np.ndarray
+
+
+@documented
+class ClosestPoints(NamedTuple):
+    """The points of a fragment's surface that are nearest to n points.
+
+    Fields:
+      distances: (n,) float64 [m], negative inside the fragment: minus the depth
+      points: (n, 3) float64 [m] of the surface, world
+      normals: (n, 3) float64, unit, world, from the surface outward: along the shortest way
+    """
+
+    distances: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+
+
+@documented
+class Distances(NamedTuple):
+    """How far the fragments of p pairs are from each other.
+
+    Fields:
+      distances: (p,) float64 [m]; negative where they overlap: minus the depth of the deepest contact, which `points_a`
+        and `points_b` are of
+      points_a: (p, 3) float64 [m] the point of the first that is nearest to the second, world
+      points_b: (p, 3) float64 [m] likewise of the second
+    """
+
+    distances: np.ndarray
+    points_a: np.ndarray
+    points_b: np.ndarray
+
+
+def places_of(here: Present, pairs: np.ndarray) -> np.ndarray:
+    """Indices (k, 2) of fragments (k, 2) among those that take part. Raises InvalidMessage if one does not."""
+    absent = np.setdiff1d(pairs, here.ids)
+    if len(absent):
+        refuse("unknown_id", f"pairs: fragment {absent[0]} does not take part at these states")
+    return np.searchsorted(here.ids, pairs)
+
+
+def place_of(here: Present, fragment_id: int) -> int:
+    """Index of a fragment among those that take part. Raises InvalidMessage if it does not."""
+    number = identifier("fragment_id", fragment_id)
+    k = int(np.searchsorted(here.ids, number))
+    if k == len(here.ids) or here.ids[k] != number:
+        refuse("unknown_id", f"fragment_id: {number} does not take part at these states")
+    return k
+
+
+def distances(pools: Pools, trees: SurfaceTrees, here: Present, pairs: np.ndarray) -> Distances:
+    """Of pairs (p, 2), indices of fragments `here`; 0 where they overlap. Raises InvalidMessage for two planes."""
+    is_plane = pools.fragment.kind[here.rows] == PLANE
+    both = np.flatnonzero(is_plane[pairs].all(axis=1))
+    if len(both):
+        a, b = here.ids[pairs[both[0]]]
+        refuse("out_of_range", f"pairs: {a} and {b} are unbounded planes, which have no distance")
+    found = Distances(np.empty(len(pairs)), np.empty((len(pairs), 3)), np.empty((len(pairs), 3)))
+    placed = here.rows, here.positions, here.rotations
+    pair_distances(pools, trees, placed, pairs, _scratch(pools), tuple(found))
+    return found
+
+
+def cast_rays(pools: Pools, trees: SurfaceTrees, here: Present, origins: np.ndarray, directions: np.ndarray) -> RayHits:
+    """The first surface that each ray meets. Raises InvalidMessage for directions of length 0, and other sizes."""
+    origins, directions = floats("origins", origins, 3, LARGEST_LENGTH), floats("directions", directions, 3)
+    if len(origins) != len(directions):
+        refuse("wrong_size", f"directions: {len(directions)} for {len(origins)} origins")
+    length = lengths(directions)
+    if len(length) and not length.min() > 0.0:
+        refuse("out_of_range", f"directions: ray {int(np.argmin(length))} has a direction of length 0")
+    placed, order = _placed(pools, here)
+    hits, distances, normals = np.empty(len(origins), np.int64), np.empty(len(origins)), np.empty((len(origins), 3))
+    first_hits(pools, trees, placed, (origins, directions / length[:, None]), (hits, distances, normals))
+    ids = np.append(here.ids[order], NO_FRAGMENT)  # NOTHING is the last
+    return RayHits(ids[hits], distances, normals)
+
+
+def closest_points(pools: Pools, trees: SurfaceTrees, here: Present, k: int, points: np.ndarray) -> ClosestPoints:
+    """Those of the k-th fragment to points (n, 3) [m], world."""
+    row, rotation = int(here.rows[k]), here.rotations[k]
+    local = _in_body(here, k, points)
+    distances, nearest, normals = np.empty(len(local)), np.empty_like(local), np.empty_like(local)
+    closest(pools, trees, row, local, _scratch(pools), (distances, nearest, normals))
+    return ClosestPoints(distances, _turned(rotation, nearest) + here.positions[k], _turned(rotation, normals))
+
+
+def contains(pools: Pools, here: Present, k: int, points: np.ndarray) -> np.ndarray:
+    """Which of the points (n, 3) [m], world, the k-th fragment contains: (n,) bool."""
+    local = _in_body(here, k, points)
+    out = np.empty(len(local), np.bool_)
+    contained(pools, int(here.rows[k]), local, _scratch(pools), out)
+    return out
+
+
+def _in_body(here: Present, k: int, points: np.ndarray) -> np.ndarray:
+    given = floats("points", points, 3, LARGEST_LENGTH)
+    return np.ascontiguousarray(_turned(here.rotations[k].T, given - here.positions[k]))
+
+
+def _turned(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """(n, 3) turned, row by row, without BLAS, whose rounding differs between processors."""
+    return (rotation[None] * vectors[:, None]).sum(axis=2)
+
+
+def _scratch(pools: Pools):
+    return make_scratch(len(pools.mesh.tetrahedra), 1)
+
+
+def _placed(pools: Pools, here: Present) -> tuple[PlacedFragments, np.ndarray]:
+    """The fragments under a tree of their boxes, and their order there: rows of `here`."""
+    fragment, boxes = pools.fragment, np.empty((len(here.rows), 6))
+    margins = ROUNDING * (fragment.radius[here.rows] + np.abs(here.positions).sum(axis=1))
+    world_boxes(fragment.box, here.rows, here.rotations, here.positions, margins, boxes)
+    is_bounded = fragment.kind[here.rows] != PLANE
+    bounded, order = np.flatnonzero(is_bounded), np.flatnonzero(~is_bounded)
+    node_box, nothing = np.empty((0, 6)), np.empty(0, np.int32)
+    skip, first, count = nothing, nothing, nothing
+    if len(bounded):
+        finite = boxes[bounded]
+        leaves, node_box, skip, first, count = build_hierarchy(finite, 0.5 * (finite[:, :3] + finite[:, 3:]))
+        order = np.append(bounded[leaves], order)
+    rows, positions, rotations = here.rows[order], here.positions[order], here.rotations[order]
+    return PlacedFragments(rows, positions, rotations, node_box, skip, first, count, len(bounded)), order
+
+
+assert NOTHING == NO_FRAGMENT
