@@ -223,7 +223,7 @@ class CollisionWorld:
         """
         here, chosen = self.present(states), indices("pairs", pairs, 2)
         places = places_of(here, chosen)
-        found = distances(self._registry.geometry.pools, self._surface_trees(here), here, places)
+        found = distances(self._registry.geometry.pools, self._surface_trees(here), here, places, self._crew)
         overlapping = np.flatnonzero(found.distances == 0.0)
         if len(overlapping):
             ids = np.sort(chosen[overlapping], axis=1).tolist()

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fracture_collision.core.memory.crew import Crew
 from fracture_collision.core.memory.kinds import PLANE
 from fracture_collision.core.memory.pools import Pools
 from fracture_collision.core.mesh.triangle_field import build_hierarchy
 from fracture_collision.core.pair.broad_phase import world_boxes
 from fracture_collision.core.queries.closest_points import closest, contained
-from fracture_collision.core.queries.distances import pair_distances
+from fracture_collision.core.queries.distances import make_room, pair_distances
 from fracture_collision.core.queries.rays import NOTHING, PlacedFragments, first_hits
 from fracture_collision.core.queries.surface_trees import SurfaceTrees
 from fracture_collision.core.search.scratch import make_scratch
@@ -90,7 +91,7 @@ def place_of(here: Present, fragment_id: int) -> int:
     return k
 
 
-def distances(pools: Pools, trees: SurfaceTrees, here: Present, pairs: np.ndarray) -> Distances:
+def distances(pools: Pools, trees: SurfaceTrees, here: Present, pairs: np.ndarray, crew: Crew) -> Distances:
     """Of pairs (p, 2), indices of fragments `here`; 0 where they overlap. Raises InvalidMessage for two planes."""
     is_plane = pools.fragment.kind[here.rows] == PLANE
     both = np.flatnonzero(is_plane[pairs].all(axis=1))
@@ -99,7 +100,8 @@ def distances(pools: Pools, trees: SurfaceTrees, here: Present, pairs: np.ndarra
         refuse("out_of_range", f"pairs: {a} and {b} are unbounded planes, which have no distance")
     found = Distances(np.empty(len(pairs)), np.empty((len(pairs), 3)), np.empty((len(pairs), 3)))
     placed = here.rows, here.positions, here.rotations
-    pair_distances(pools, trees, placed, pairs, _scratch(pools), tuple(found))
+    rooms = [make_room(_scratch(pools)) for _ in range(crew.threads)]
+    crew.share(pair_distances, pools, trees, placed, pairs, tuple(found), own=rooms)
     return found
 
 

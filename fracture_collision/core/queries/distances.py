@@ -7,11 +7,12 @@ Two hierarchies of boxes are descended at once, the nearer boxes first; what is 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from fracture_collision.core.field.elementary_queries import INSIDE, bounded_probe
-from fracture_collision.core.memory.compiled import allocating_kernel, kernel, query_kernel
+from fracture_collision.core.memory.compiled import query_kernel, threaded_kernel
 from fracture_collision.core.memory.kinds import PLANE, SPHERE
 from fracture_collision.core.memory.transforms import rotated, to_other, turned_back
 from fracture_collision.core.memory.vectors import (
@@ -27,25 +28,44 @@ from fracture_collision.core.memory.vectors import (
 )
 from fracture_collision.core.mesh.closest_point import closest_on_triangle, nearest_of_segments
 from fracture_collision.core.queries.closest_points import closest_point
+from fracture_collision.core.search.scratch import Scratch
 
 # Pairs of nodes that wait: each descent adds one, and hierarchies are at most 62 deep.
 STACK = 128
+# Triangles of each that are listed at most, and pairs of these that are looked at; how often the line is taken anew.
+MOST, MOST_PAIRS, ROUNDS = 64, 256, 6
+# Where more are near, only what reaches so far into the space between is looked at before the next line.
+THIN = 0.1
 # How often the line between two corners that face each other is taken.
 TURNS = 2
 NOWHERE = (0.0, 0.0, 0.0)
 
 
-@kernel
-def pair_distances(pools, trees, here, pairs, scratch, out):
+class Room(NamedTuple):
+    """A thread's working memory."""
+
+    scratch: Scratch
+    turn: np.ndarray  # (3, 3)
+    rows: np.ndarray  # (2, MOST) int64
+    stack: tuple[np.ndarray, np.ndarray]  # pairs of nodes (STACK, 2) int64, bounds (STACK,)
+
+
+def make_room(scratch: Scratch) -> Room:
+    """Around a Scratch for the meshes of the world."""
+    stack = np.empty((STACK, 2), np.int64), np.empty(STACK)
+    return Room(scratch, np.empty((3, 3)), np.empty((2, MOST), np.int64), stack)
+
+
+@threaded_kernel
+def pair_distances(pools, trees, here, pairs, out, room, part):
     """Write the distance [m] of each pair (p, 2) of the fragments `here`, and the nearest point of each, world.
 
-    trees: SurfaceTrees; here: rows (n,), positions (n, 3) [m], rotations (n, 3, 3); out: (p,), (p, 3), (p, 3).
+    Of the pairs that are a thread's, see Crew.share. trees: SurfaceTrees; here: rows (n,), positions (n, 3) [m],
+    rotations (n, 3, 3); out: (p,), (p, 3), (p, 3).
     """
-    rows, positions, rotations = here
+    (rows, positions, rotations), turn, (thread, threads) = here, room.turn, part
     distances, points_a, points_b = out
-    nodes, bounds = np.empty((STACK, 2), np.int64), np.empty(STACK)
-    turn = np.empty((3, 3))
-    for p in range(len(pairs)):
+    for p in range(thread, len(pairs), threads):
         i, j = pairs[p]
         is_turned = pools.fragment.kind[rows[i]] in (PLANE, SPHERE)  # the other one first, if it has a mesh
         if is_turned:
@@ -55,7 +75,7 @@ def pair_distances(pools, trees, here, pairs, scratch, out):
             for column in range(3):
                 turn[row, column] = dot(_column_of(rotations[i], row), _column_of(rotations[j], column))
         place = turned_back(rotations[i], minus(vector(positions, j), vector(positions, i)))
-        d, q, r = _between(pools, trees, (rows[i], rows[j]), (turn, place), (nodes, bounds), scratch)
+        d, q, r = _between(pools, trees, (rows[i], rows[j]), (turn, place), room)
         q, r = to_other(rotations[i], vector(positions, i), q), to_other(rotations[i], vector(positions, i), r)
         if is_turned:
             q, r = r, q
@@ -70,10 +90,10 @@ def _column_of(rotation, column):
     return rotation[0, column], rotation[1, column], rotation[2, column]
 
 
-@allocating_kernel
-def _between(pools, trees, two, pose, stack, scratch):
+@query_kernel
+def _between(pools, trees, two, pose, room):
     """(distance [m], nearest point of the first fragment, of the second), in the frame of the first."""
-    (a, b), (turn, place) = two, pose
+    (a, b), (turn, place), scratch = two, pose, room.scratch
     kind_b, shape = pools.fragment.kind[b], pools.fragment.shape[b]
     if kind_b == PLANE:
         n = rotated(turn, vector_at(shape, 0))
@@ -82,10 +102,11 @@ def _between(pools, trees, two, pose, stack, scratch):
         d, q, n = closest_point(pools, trees, a, place, scratch)
         d -= shape[0]
         return (d, q, plus_scaled(q, d, n)) if d > 0.0 else (0.0, q, q)
-    d, q, r = _between_surfaces(trees, two, pose, stack)
-    if d > 0.0 and (_holds(pools, a, r, scratch) or _holds(pools, b, turned_back(turn, minus(q, place)), scratch)):
-        return 0.0, q, q
-    return d, q, r
+    d, q, r, is_beside = _between_surfaces(trees, two, pose, room)
+    if is_beside or not d > 0.0:
+        return d, q, r
+    is_inside = _holds(pools, a, r, scratch) or _holds(pools, b, turned_back(turn, minus(q, place)), scratch)
+    return (0.0, q, q) if is_inside else (d, q, r)
 
 
 @query_kernel
@@ -113,19 +134,88 @@ def _from_plane(pools, trees, a, n, offset):
 
 
 @query_kernel
-def _between_surfaces(trees, two, pose, stack):
-    """_between two surfaces of triangles; 0 only where they meet.
+def _between_surfaces(trees, two, pose, room):
+    """_between two surfaces of triangles; 0 only where they meet. And whether a plane is known to separate the two.
+
+    Two triangles can be nearer than `far` only if they are so along any line, too. Along the line between the nearest
+    points so far, few are: mostly all pairs of these can be looked at.
+    """
+    (a, b), (turn, place), rows = two, pose, room.rows
+    is_beside = False
+    nearest = _corners_that_face(trees, two, pose)
+    for _ in range(ROUNDS):
+        _, q, r = nearest
+        far = math.sqrt(nearest[0])
+        if far == 0.0:
+            return 0.0, q, r, False
+        n = divided(minus(r, q), far)
+        m = turned_back(turn, n)
+        back, shift = opposite(m), dot(n, place)
+        high, low = dot(n, _farthest(trees, a, n)), dot(m, _farthest(trees, b, back)) + shift
+        is_beside = is_beside or low - high > 0.0
+        if not low - high < far:
+            return far, q, r, is_beside
+        of_a, of_b = _beyond(trees, a, n, low - far, rows[0]), _beyond(trees, b, back, shift - high - far, rows[1])
+        is_all = of_a <= MOST and of_b <= MOST and of_a * of_b <= MOST_PAIRS
+        if not is_all:
+            thin = THIN * (far - low + high)
+            of_a = _beyond(trees, a, n, high - thin, rows[0])
+            of_b = _beyond(trees, b, back, shift - low - thin, rows[1])
+        nearer = _nearest_of(trees, (rows[0, : min(of_a, MOST)], rows[1, : min(of_b, MOST)]), pose, (n, far), nearest)
+        if is_all:
+            return math.sqrt(nearer[0]), nearer[1], nearer[2], is_beside
+        if not nearer[0] < nearest[0]:
+            break
+        nearest = nearer
+    d, q, r = _descended(trees, two, pose, room.stack, nearest)
+    return d, q, r, is_beside
+
+
+@query_kernel
+def _beyond(trees, f, n, height, out):
+    """Write the triangles of a fragment that reach above a height [m] along n; returns how many, or one too many."""
+    count, (node, end) = 0, trees.node_range[f]
+    while node < end:
+        if not _most(trees.node_box[node], n) > height:
+            node = trees.node_skip[node]
+            continue
+        for t in range(trees.node_first[node], trees.node_first[node] + trees.node_count[node]):
+            x, y, z = corners_of(trees.corners[t])
+            if max(dot(n, x), dot(n, y), dot(n, z)) > height:
+                if count == len(out):
+                    return count + 1
+                out[count] = t
+                count += 1
+        node += 1
+    return count
+
+
+@query_kernel
+def _nearest_of(trees, rows, pose, along, nearest):
+    """(squared distance, points) of the nearest of all pairs of triangles in `rows`, or `nearest` if none is nearer."""
+    (turn, place), (n, far), (best, q, r) = pose, along, nearest
+    for s in rows[1]:
+        x, y, z = corners_of(trees.corners[s])
+        other = to_other(turn, place, x), to_other(turn, place, y), to_other(turn, place, z)
+        low = min(dot(n, other[0]), dot(n, other[1]), dot(n, other[2]))
+        for t in rows[0]:
+            one = corners_of(trees.corners[t])
+            if low - max(dot(n, one[0]), dot(n, one[1]), dot(n, one[2])) < far:
+                best, q, r = _nearer(one, other, best, q, r)
+    return best, q, r
+
+
+@query_kernel
+def _descended(trees, two, pose, stack, nearest):
+    """_between_surfaces for any two, by a descent of both hierarchies; nearest: squared distance and points so far.
 
     What lies farther apart along the line between the nearest points so far than these is skipped, as well as what lies
     in boxes that are farther: around the nearest points boxes overlap much, along that line hardly anything.
     """
-    (a, b), (turn, place), (nodes, bounds) = two, pose, stack
+    (a, b), (turn, place), (nodes, bounds), (best, q, r) = two, pose, stack, nearest
     nodes[0, 0], nodes[0, 1], bounds[0], top = trees.node_range[a, 0], trees.node_range[b, 0], 0.0, 1
-    q, r = _corners_that_face(trees, two, pose)
-    n = minus(r, q)
-    best = dot(n, n)
     far = math.sqrt(best)  # along n, in the frame of a; m: in that of b
-    n = divided(n, far) if best > 0.0 else NOWHERE
+    n = divided(minus(r, q), far) if best > 0.0 else NOWHERE
     m = turned_back(turn, n)
     while top:
         top -= 1
@@ -171,7 +261,7 @@ def _between_surfaces(trees, two, pose, stack):
 
 @query_kernel
 def _corners_that_face(trees, two, pose):
-    """Corners of both that are farthest towards the other: how far they are apart is a bound of the distance."""
+    """(squared distance, these) of corners of both that are farthest towards the other: a bound of the distance."""
     (a, b), (turn, place) = two, pose
     box_a, box_b = trees.node_box[trees.node_range[a, 0]], trees.node_box[trees.node_range[b, 0]]
     q, r = _middle(box_a), to_other(turn, place, _middle(box_b))
@@ -183,8 +273,8 @@ def _corners_that_face(trees, two, pose):
         away = minus(r, q)
         if not dot(away, away) < best:
             break
-        best_q, best_r, best = q, r, dot(away, away)
-    return best_q, best_r
+        best, best_q, best_r = dot(away, away), q, r
+    return best, best_q, best_r
 
 
 @query_kernel
