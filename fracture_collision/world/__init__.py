@@ -24,7 +24,7 @@ from fracture_collision.world.settings import PaperSettings, Settings
 
 if TYPE_CHECKING:
     from fracture_collision.world.collision_world import CollisionWorld
-    from fracture_collision.world.queries import ClosestPoints, Distances, RayHits
+    from fracture_collision.world.queries import ClosestPoints, Distances, RayHits, Sweep
 
 __all__ = [
     "BOX",
@@ -47,9 +47,11 @@ __all__ = [
     "Settings",
     "SolidPrimitive",
     "StatesAhead",
+    "Sweep",
 ]
 
-_LATE = {"CollisionWorld": "collision_world"} | dict.fromkeys(("ClosestPoints", "Distances", "RayHits"), "queries")
+_ANSWERS = "ClosestPoints", "Distances", "RayHits", "Sweep"
+_LATE = {"CollisionWorld": "collision_world"} | dict.fromkeys(_ANSWERS, "queries")
 
 
 def __getattr__(name: str) -> Any:

@@ -43,12 +43,15 @@ from fracture_collision.world.queries import (
     ClosestPoints,
     Distances,
     RayHits,
+    Sweep,
     cast_rays,
+    check_way,
     closest_points,
     contains,
     distances,
     place_of,
     places_of,
+    sweep,
 )
 from fracture_collision.world.registry import Registry
 from fracture_collision.world.settings import Settings, check_settings, settings_text
@@ -235,6 +238,17 @@ class CollisionWorld:
                 points = (pair.points_b, pair.points_a) if is_turned else (pair.points_a, pair.points_b)
                 found.distances[k], found.points_a[k], found.points_b[k] = pair.gaps[c], points[0][c], points[1][c]
         return found
+
+    def sweep(self, states: FragmentStates, fragment_id: int, way: np.ndarray) -> Sweep:
+        """What a fragment touches first if it moves by `way` (3,) [m], world, without turning, and all others stay.
+
+        It touches where it is no more than 1e-7 of its R away, never deeper. Raises as `contacts` does, and for a
+        fragment that does not take part at `states`, an unbounded plane, or no way at all.
+        """
+        here = self.present(states)
+        given = check_way(self._registry.geometry.pools, here, fragment_id, way)
+        k = place_of(here, fragment_id)
+        return sweep(self._registry.geometry.pools, self._surface_trees(here), here, k, given, self._crew)
 
     def cast_rays(self, states: FragmentStates, origins: np.ndarray, directions: np.ndarray) -> RayHits:
         """The first surface that each ray meets, of all fragments that take part at `states`; from either side.

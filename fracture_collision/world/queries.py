@@ -26,6 +26,8 @@ from fracture_collision.world.present import Present
 
 NO_FRAGMENT = -1
 ROUNDING = 1e-12  # of places in the world, as a share
+# Fragments so near to each other, as a share of R, touch; how often one is advanced at most: it needs a few dozen.
+TOUCHING, MOST_ADVANCES = 1e-7, 10_000
 
 
 @documented
@@ -74,6 +76,23 @@ class Distances(NamedTuple):
     points_b: np.ndarray
 
 
+@documented
+class Sweep(NamedTuple):
+    """What a fragment that moves along a straight line touches first.
+
+    Fields:
+      share: float, of the way before it touches; infinity if it touches nothing
+      fragment_id: int, of what it touches, -1: nothing
+      point: (3,) float64 [m] of what it touches, world; zeros: nothing
+      normal: (3,) float64, unit, world, from there to the moving fragment; zeros: nothing, or they overlap at the start
+    """
+
+    share: float
+    fragment_id: int
+    point: np.ndarray
+    normal: np.ndarray
+
+
 def places_of(here: Present, pairs: np.ndarray) -> np.ndarray:
     """Indices (k, 2) of fragments (k, 2) among those that take part. Raises InvalidMessage if one does not."""
     absent = np.setdiff1d(pairs, here.ids)
@@ -103,6 +122,42 @@ def distances(pools: Pools, trees: SurfaceTrees, here: Present, pairs: np.ndarra
     rooms = [make_room(_scratch(pools)) for _ in range(crew.threads)]
     crew.share(pair_distances, pools, trees, placed, pairs, tuple(found), own=rooms)
     return found
+
+
+def check_way(pools: Pools, here: Present, fragment_id: int, way: np.ndarray) -> np.ndarray:
+    """The way (3,) [m] of a fragment. Raises InvalidMessage if it is none, or the fragment is an unbounded plane."""
+    given = floats("way", way, 3, LARGEST_LENGTH)
+    if len(given) != 1 or not lengths(given[0]) > 0.0:
+        refuse("out_of_range", "way: needs one vector (3,) that is not 0")
+    if pools.fragment.kind[here.rows[place_of(here, fragment_id)]] == PLANE:
+        refuse("out_of_range", f"fragment_id: {fragment_id} is an unbounded plane, which cannot move")
+    return given[0]
+
+
+def sweep(pools: Pools, trees: SurfaceTrees, here: Present, k: int, way: np.ndarray, crew: Crew) -> Sweep:
+    """What the k-th fragment touches first on its way (3,) [m], by conservative advancement (Mirtich 1996).
+
+    It is moved by the distance from what is nearest, which it cannot touch before, until that is TOUCHING of R or less.
+    """
+    length = float(lengths(way))
+    touching = TOUCHING * float(pools.fragment.radius[here.rows[k]])
+    others = np.delete(np.arange(len(here.ids)), k)
+    share = 0.0
+    for _ in range(MOST_ADVANCES):
+        there = here._replace(positions=here.positions.copy())
+        there.positions[k] += share * way
+        found = distances(pools, trees, there, np.column_stack((np.full(len(others), k), others)), crew)
+        is_near = found.distances <= (1.0 - share) * length + touching
+        if not is_near.any():
+            break
+        nearest = int(np.argmin(found.distances))
+        distance, point = float(found.distances[nearest]), found.points_b[nearest]
+        if distance <= touching:
+            away = found.points_a[nearest] - point
+            return Sweep(share, int(here.ids[others[nearest]]), point, away / distance if distance > 0.0 else away)
+        share += (distance - 0.5 * touching) / length  # which leaves a line between the two, for the normal
+        others = others[is_near]
+    return Sweep(np.inf, NO_FRAGMENT, np.zeros(3), np.zeros(3))
 
 
 def cast_rays(pools: Pools, trees: SurfaceTrees, here: Present, origins: np.ndarray, directions: np.ndarray) -> RayHits:

@@ -201,6 +201,55 @@ def test_nonsense_is_rejected_with_an_explanation(placed: Placed, ask, words: st
         ask(placed.world, placed.states)
 
 
+def test_a_fragment_touches_what_a_closer_look_says(placed: Placed) -> None:
+    """Where it touches it is as near as it says, and before it is apart from all."""
+    world, states = placed.world, placed.states
+    random, touched = np.random.default_rng(7), 0
+    movers = [i for i in placed.oracle.fragment_ids if free(world, states, i)]
+    for i in movers * 4:
+        way = random.normal(0.0, 2.0, 3)
+        found = world.sweep(states, i, way)
+        k, others = states.fragment_ids.tolist().index(i), [j for j in (*placed.triangles, MARBLE, GROUND) if j != i]
+        for share in (1.0,) if found.share == np.inf else (found.share, 0.5 * found.share, 0.98 * found.share):
+            moved = states._replace(positions=states.positions.copy())
+            moved.positions[k] += share * way
+            distances = world.distance(moved, [(i, j) for j in others]).distances
+            if share == found.share:
+                assert others[int(np.argmin(distances))] == found.fragment_id
+                assert -1e-12 < distances.min() <= 1e-7
+            else:
+                assert distances.min() > 0.0
+        touched += found.share < np.inf
+    assert touched > 4
+
+
+def free(world: CollisionWorld, states: FragmentStates, fragment: int) -> bool:
+    others = [j for j in (*states.fragment_ids, GROUND) if j != fragment]
+    return world.distance(states, [(fragment, j) for j in others]).distances.min() > 0.0
+
+
+def test_a_box_that_is_swept_touches_where_arithmetic_says() -> None:
+    world = CollisionWorld(Settings(threads=1))
+    world.add_body(CollisionBody(1, 1, density=1.0, primitive=SolidPrimitive(BOX, (0.2, 0.2, 0.2))))
+    world.add_body(CollisionBody(2, 2, density=1.0, primitive=SolidPrimitive(SPHERE, (0.1,))))
+    world.add_body(CollisionBody(3, 3, plane=(0.0, 0.0, 1.0, 0.0), is_static=True))
+    places, upright = np.array([[0.0, 0.0, 0.6], [1.0, 0.0, 0.6]]), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+    states = FragmentStates(1, 0, [1, 2], places, upright)
+    for mover, way, share, other, normal in (
+        (1, [0.0, 0.0, -2.0], 0.25, 3, [0.0, 0.0, 1.0]), (1, [3.0, 0.0, 0.0], 0.8 / 3.0, 2, [-1.0, 0.0, 0.0]),
+        (2, [-1.0, 0.0, -0.1], 0.8, 1, [1.0, 0.0, 0.0]), (1, [0.0, 0.0, -0.4], np.inf, -1, [0.0, 0.0, 0.0]),
+        (1, [0.0, 3.0, 0.0], np.inf, -1, [0.0, 0.0, 0.0]),
+    ):  # fmt: skip
+        found = world.sweep(states, mover, way)
+        assert found.share == pytest.approx(share, abs=1e-6) and found.fragment_id == other
+        np.testing.assert_allclose(found.normal, normal, atol=1e-3)
+    inside = states._replace(positions=[[0.0, 0.0, 0.6], [0.1, 0.0, 0.6]])
+    assert world.sweep(inside, 1, [1.0, 0.0, 0.0]).share == 0.0
+    for fragment, way, words in ((1, [0.0, 0.0, 0.0], "way: needs one"), (3, [1.0, 0.0, 0.0], "3 is an unbounded")):
+        with pytest.raises(InvalidMessage, match=words):
+            world.sweep(states, fragment, way)
+
+
 def test_nothing_is_an_answer(placed: Placed) -> None:
     world, none = placed.world, np.empty((0, 3))
     assert len(world.cast_rays(placed.states, none, none).distances) == 0
