@@ -24,7 +24,7 @@ from fracture_collision.world.settings import PaperSettings, Settings
 
 if TYPE_CHECKING:
     from fracture_collision.world.collision_world import CollisionWorld
-    from fracture_collision.world.queries import ClosestPoints, Distances, RayHits, Sweep
+    from fracture_collision.world.queries import ClosestPoints, Distances, Overlaps, RayHits, Sweep
 
 __all__ = [
     "BOX",
@@ -42,6 +42,7 @@ __all__ = [
     "FragmentRegistry",
     "FragmentStates",
     "InvalidMessage",
+    "Overlaps",
     "PaperSettings",
     "RayHits",
     "Settings",
@@ -50,7 +51,7 @@ __all__ = [
     "Sweep",
 ]
 
-_ANSWERS = "ClosestPoints", "Distances", "RayHits", "Sweep"
+_ANSWERS = "ClosestPoints", "Distances", "Overlaps", "RayHits", "Sweep"
 _LATE = {"CollisionWorld": "collision_world"} | dict.fromkeys(_ANSWERS, "queries")
 
 

@@ -42,6 +42,7 @@ from fracture_collision.world.present import Present, find_fragments, take_place
 from fracture_collision.world.queries import (
     ClosestPoints,
     Distances,
+    Overlaps,
     RayHits,
     Sweep,
     cast_rays,
@@ -49,6 +50,7 @@ from fracture_collision.world.queries import (
     closest_points,
     contains,
     distances,
+    overlaps,
     place_of,
     places_of,
     sweep,
@@ -249,6 +251,14 @@ class CollisionWorld:
         given = check_way(self._registry.geometry.pools, here, fragment_id, way)
         k = place_of(here, fragment_id)
         return sweep(self._registry.geometry.pools, self._surface_trees(here), here, k, given, self._crew)
+
+    def overlaps(self, states: FragmentStates, boxes: np.ndarray) -> Overlaps:
+        """Which fragments overlap boxes (k, 6) [m], lower and upper corner, along the axes of the world.
+
+        By the exact fragments, not by boxes around them. Raises as `contacts` does, and for a box that is inside out.
+        """
+        here = self.present(states)
+        return overlaps(self._registry.geometry.pools, self._surface_trees(here), here, boxes)
 
     def cast_rays(self, states: FragmentStates, origins: np.ndarray, directions: np.ndarray) -> RayHits:
         """The first surface that each ray meets, of all fragments that take part at `states`; from either side.

@@ -16,6 +16,7 @@ from fracture_collision.core.mesh.triangle_field import build_hierarchy
 from fracture_collision.core.pair.broad_phase import world_boxes
 from fracture_collision.core.queries.closest_points import closest, contained
 from fracture_collision.core.queries.distances import make_room, pair_distances
+from fracture_collision.core.queries.overlaps import box_overlaps
 from fracture_collision.core.queries.rays import NOTHING, PlacedFragments, first_hits
 from fracture_collision.core.queries.surface_trees import SurfaceTrees
 from fracture_collision.core.search.scratch import make_scratch
@@ -74,6 +75,19 @@ class Distances(NamedTuple):
     distances: np.ndarray
     points_a: np.ndarray
     points_b: np.ndarray
+
+
+@documented
+class Overlaps(NamedTuple):
+    """Which fragments overlap boxes: m overlaps, by ascending box, then by ascending id.
+
+    Fields:
+      boxes: (m,) int64, indices of boxes
+      fragment_ids: (m,) int64
+    """
+
+    boxes: np.ndarray
+    fragment_ids: np.ndarray
 
 
 @documented
@@ -173,6 +187,22 @@ def cast_rays(pools: Pools, trees: SurfaceTrees, here: Present, origins: np.ndar
     first_hits(pools, trees, placed, (origins, directions / length[:, None]), (hits, distances, normals))
     ids = np.append(here.ids[order], NO_FRAGMENT)  # NOTHING is the last
     return RayHits(ids[hits], distances, normals)
+
+
+def overlaps(pools: Pools, trees: SurfaceTrees, here: Present, boxes: np.ndarray) -> Overlaps:
+    """Of boxes (k, 6) [m], lower and upper corner, world. Raises InvalidMessage if one is inside out."""
+    given = floats("boxes", boxes, 6, LARGEST_LENGTH)
+    wrong = np.flatnonzero((given[:, :3] > given[:, 3:]).any(axis=1))
+    if len(wrong):
+        refuse("out_of_range", f"boxes: box {wrong[0]} has its lower corner, the first three, above the upper one")
+    placed, order = _placed(pools, here)
+    out, scratch, count = np.empty((0, 2), np.int64), _scratch(pools), len(given)
+    while count > len(out):
+        out = np.empty((count, 2), np.int64)
+        count = box_overlaps(pools, trees, placed, given, scratch, out)
+    box, ids = out[:count, 0], here.ids[order[out[:count, 1]]]
+    ascending = np.lexsort((ids, box))
+    return Overlaps(box[ascending], ids[ascending])
 
 
 def closest_points(pools: Pools, trees: SurfaceTrees, here: Present, k: int, points: np.ndarray) -> ClosestPoints:

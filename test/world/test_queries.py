@@ -250,6 +250,52 @@ def test_a_box_that_is_swept_touches_where_arithmetic_says() -> None:
             world.sweep(states, fragment, way)
 
 
+def test_boxes_overlap_what_is_cut_off_by_their_sides(placed: Placed) -> None:
+    """The slow twin cuts each triangle off at the six sides of a box; small boxes lie inside fragments, too."""
+    random = np.random.default_rng(8)
+    inner = [triangles.mean(axis=(0, 1)) for triangles in placed.triangles.values()]
+    middles = np.vstack((random.uniform(-1.5, 1.5, (150, 3)), inner))
+    halves = random.uniform(0.005, 0.2, (len(middles), 3))
+    boxes = np.hstack((middles - halves, middles + halves))
+    found = placed.world.overlaps(placed.states, boxes)
+    assert np.array_equal(np.lexsort((found.fragment_ids, found.boxes)), np.arange(len(found.boxes)))
+    pairs = set(zip(found.boxes.tolist(), found.fragment_ids.tolist(), strict=True))
+    expected = set()
+    for b, (low, high) in enumerate(zip(boxes[:, :3], boxes[:, 3:], strict=True)):
+        for i, triangles in placed.triangles.items():
+            near = ((triangles.min(axis=1) <= high) & (triangles.max(axis=1) >= low)).all(axis=1)
+            is_in = placed.world.contains(placed.states, i, middles[b][None])[0]
+            if is_in or any(is_left(triangle, low, high) for triangle in triangles[near]):
+                expected.add((b, i))
+        if np.linalg.norm(np.clip(placed.poses[MARBLE][1], low, high) - placed.poses[MARBLE][1]) <= 0.3:
+            expected.add((b, MARBLE))
+        if low[2] <= GROUND_AT:
+            expected.add((b, GROUND))
+    assert pairs == expected and len(expected) > 40 and {i for _, i in expected} >= set(placed.triangles)
+    everything = placed.world.overlaps(placed.states, [[-9.0, -9.0, -9.0, 9.0, 9.0, 9.0]])
+    assert set(everything.fragment_ids.tolist()) == {*placed.triangles, MARBLE, GROUND}
+    with pytest.raises(InvalidMessage, match="box 0 has its lower corner"):
+        placed.world.overlaps(placed.states, [[1.0, 0.0, 0.0, 0.0, 1.0, 1.0]])
+
+
+def is_left(triangle: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether anything is left of a triangle that is cut off at the sides of a box: Sutherland, Hodgman 1974."""
+    polygon = list(triangle)
+    for axis in range(3):
+        for sign, limit in ((1.0, high[axis]), (-1.0, -low[axis])):
+            kept = []
+            for p, q in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+                d, e = limit - sign * p[axis], limit - sign * q[axis]
+                if d >= 0.0:
+                    kept.append(p)
+                if (d >= 0.0) != (e >= 0.0):
+                    kept.append(p + d / (d - e) * (q - p))
+            polygon = kept
+            if not polygon:
+                return False
+    return True
+
+
 def test_nothing_is_an_answer(placed: Placed) -> None:
     world, none = placed.world, np.empty((0, 3))
     assert len(world.cast_rays(placed.states, none, none).distances) == 0
