@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from time import perf_counter
 from typing import NamedTuple
@@ -103,6 +104,19 @@ class CollisionWorld:
         self.last_timings: dict[str, float] = {"update": 0.0, "broad_phase": 0.0, "narrow_phase": 0.0}  # [s]
         self.last_visits = 0  # leaves and samples, or tree nodes, that the last answer looked at
         self.last_pairs = 0  # fragment pairs that its broad phase found
+
+    def __getstate__(self) -> tuple[Settings, Ledger]:
+        """What copies and pickles keep: the messages. The copy builds its bodies from them when it is first asked."""
+        return self.settings, self._ledger
+
+    def __setstate__(self, state: tuple[Settings, Ledger]) -> None:
+        settings, ledger = state
+        self.__init__(settings)  # type: ignore[misc]
+        self._ledger, self._built_for = ledger, None
+
+    def __copy__(self) -> CollisionWorld:
+        """A world of its own, as copy.deepcopy makes: two that share their messages would be of no use."""
+        return copy.deepcopy(self)
 
     def add_body(self, body: CollisionBody) -> None:
         """Add a body, or remove one (REMOVE). A repetition of a message changes nothing."""
