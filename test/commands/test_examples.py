@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from stages.ros_stage import StageWithClients
 
 from fracture_collision.geometry.generators import ball
@@ -127,3 +128,16 @@ def test_it_breaks_the_mesh_of_the_package_tetrahedra_and_a_surface(tmp_path: Pa
     assert_broken(pairs_of(tmp_path / "ball.npz"))
     trimesh.creation.torus(0.5, 0.2).export(tmp_path / "ring.stl")
     assert_broken(pairs_of(tmp_path / "ring.stl"))
+
+
+def test_a_depth_camera_sees_a_mesh_burst(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trimesh.creation.icosphere(3, 0.5).export(tmp_path / "ball.stl")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["depth_camera.py", "ball.stl"])
+    with redirect_stdout(StringIO()) as printed:
+        runpy.run_path(str(EXAMPLES / "depth_camera.py"), run_name="__main__")
+    figures = re.fullmatch(r"depth.png: (\d+) of (\d+) fragments, (\S+) m .*\n", printed.getvalue())
+    seen, there, nearest = figures.groups()
+    assert 4 <= int(seen) <= int(there) and 0.2 < float(nearest) < 0.4
+    with Image.open("depth.png") as picture:
+        assert picture.size == (320, 240) and len(picture.convert("RGB").getcolors(1 << 20)) > 100
