@@ -69,7 +69,7 @@ class _Answered(NamedTuple):
     registry: Registry | None
     changes: int
     settings: Settings | None
-    asked: tuple[bytes, ...]  # ids, positions and orientations, with lookahead also velocities; static bodies; pairs
+    asked: tuple[bytes, ...]  # ids, positions and orientations, with lookahead also velocities; static bodies
     answer: ContactConstraintArray | None
 
 
@@ -168,14 +168,24 @@ class CollisionWorld:
         body that has not arrived yet, and InvalidMessage with its reason for those of an event that was rejected
         (`rejected_event`).
         """
+        if pairs is None:
+            return self._contacts(states)
+        chosen = indices("pairs", pairs, 2)
+        kept = self._remembered, self._remembered_of, self._answered  # of all pairs, for the next step
+        self._remembered, self._answered = NOTHING_REMEMBERED, _NOTHING_ANSWERED
+        try:
+            return self._contacts(states, chosen)
+        finally:
+            self._remembered, self._remembered_of, self._answered = kept
+
+    def _contacts(self, states: FragmentStates, chosen: np.ndarray | None = None) -> ContactConstraintArray:
+        """Of all pairs, or of those `chosen` (k, 2)."""
         started = perf_counter()
         checked, moving = self._bring_to(states)
         updated = perf_counter()
         static_until = self._registry.static_until(checked.body_sequence)
         columns = checked[2:7] if self.settings.lookahead else checked[2:5]
-        chosen = None if pairs is None else indices("pairs", pairs, 2)
-        wanted = b"all" if chosen is None else chosen.tobytes()
-        asked = (*(column.tobytes() for column in columns), static_until.to_bytes(8, "little"), wanted)
+        asked = (*(column.tobytes() for column in columns), static_until.to_bytes(8, "little"))
         if (again := self._answer_again(checked, asked)) is not None:
             self.last_visits = 0
             self.last_timings = {"update": updated - started, "broad_phase": 0.0, "narrow_phase": 0.0}
@@ -188,20 +198,20 @@ class CollisionWorld:
             pools.fragment, (rows, rotations, positions), motion, here.is_static, self.settings.detection_tolerance,
             self.settings.max_pairs, self._take_paired(),
         )  # fmt: skip
-        found_pairs = paired.pairs
-        if len(found_pairs) > self.settings.max_pairs:
+        pairs = paired.pairs
+        if len(pairs) > self.settings.max_pairs:
             refuse(
                 "limit_exceeded",
                 f"positions: the boxes of more than {self.settings.max_pairs} pairs of fragments overlap (max_pairs)",
             )
         if chosen is not None:
-            found_pairs = _chosen_pairs(here, found_pairs, chosen)
+            pairs = _chosen_pairs(here, pairs, chosen)
         pairs_found = perf_counter()
-        found = self._query(Step(rows, rotations, positions, found_pairs), paired.boxes, motion)
-        answer = contact_answer(checked, here, radius, found_pairs, found, self.settings)
+        found = self._query(Step(rows, rotations, positions, pairs), paired.boxes, motion)
+        answer = contact_answer(checked, here, radius, pairs, found, self.settings)
         self._paired, self._answered = paired, _Answered(*self._asked_of(), asked, answer)
         answer = _copy_of(answer)
-        self.last_visits, self.last_pairs = int(found.visits.sum()), len(found_pairs)
+        self.last_visits, self.last_pairs = int(found.visits.sum()), len(pairs)
         self.last_timings = {
             "update": updated - started, "broad_phase": pairs_found - updated,
             "narrow_phase": perf_counter() - pairs_found,

@@ -28,7 +28,7 @@ from fracture_collision.world.present import Present
 NO_FRAGMENT = -1
 ROUNDING = 1e-12  # of places in the world, as a share
 # Fragments so near to each other, as a share of R, touch; how often one is advanced at most: it needs a few dozen.
-TOUCHING, MOST_ADVANCES = 1e-7, 10_000
+TOUCHING, MOST_ADVANCES = 1e-7, 1000
 
 
 @documented
@@ -157,7 +157,7 @@ def sweep(pools: Pools, trees: SurfaceTrees, here: Present, k: int, way: np.ndar
     touching = TOUCHING * float(pools.fragment.radius[here.rows[k]])
     others = np.delete(np.arange(len(here.ids)), k)
     share = 0.0
-    for _ in range(MOST_ADVANCES):
+    for advance in range(MOST_ADVANCES):
         there = here._replace(positions=here.positions.copy())
         there.positions[k] += share * way
         found = distances(pools, trees, there, np.column_stack((np.full(len(others), k), others)), crew)
@@ -166,7 +166,7 @@ def sweep(pools: Pools, trees: SurfaceTrees, here: Present, k: int, way: np.ndar
             break
         nearest = int(np.argmin(found.distances))
         distance, point = float(found.distances[nearest]), found.points_b[nearest]
-        if distance <= touching:
+        if distance <= touching or advance + 1 == MOST_ADVANCES:  # so slow only where it slides along another
             away = found.points_a[nearest] - point
             return Sweep(share, int(here.ids[others[nearest]]), point, away / distance if distance > 0.0 else away)
         share += (distance - 0.5 * touching) / length  # which leaves a line between the two, for the normal

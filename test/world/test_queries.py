@@ -183,7 +183,8 @@ def test_contacts_of_chosen_pairs_are_those_of_all(placed: Placed) -> None:
         assert record_bytes(one) == record_bytes(other)
         np.testing.assert_allclose(((one.points_b - one.points_a) * one.normals).sum(axis=1), one.gaps, atol=1e-12)
     assert not placed.world.contacts(states, pairs=np.empty((0, 2), int))
-    assert record_bytes(placed.world.contacts(states)) == record_bytes(CollisionWorld.contacts(placed.world, states))
+    # what is remembered of all pairs is still there
+    assert len(list(placed.world.contacts(states).pairs())) == len(every) and placed.world.last_visits == 0
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,8 @@ DIRECTIONS = np.array([
 SIGN_ROUNDING = 32.0 * np.finfo(np.float64).eps
 # Rounding error bound of where a ray meets the planes of a box, as a share of all lengths involved.
 BOX_ROUNDING = 1e-12
+# A ray whose direction has less of an axis goes across it.
+ACROSS = 1e-200
 
 
 class _Surface(NamedTuple):
@@ -72,7 +74,7 @@ def _winding_along(surface, point, own, d):
     corners, piece, node_box, skip, first, count = surface
     winding, node = 0, 0
     while node < len(node_box):
-        if not _may_meet(node_box[node], point, d):
+        if not may_meet_box(node_box[node], point, d, np.inf):
             node = skip[node]
             continue
         for t in range(first[node], first[node] + count[node]):
@@ -87,10 +89,14 @@ def _winding_along(surface, point, own, d):
 
 
 @query_kernel
-def _may_meet(box, point, d):
-    """Whether a ray may meet a box (6,); where rounding decides, it may."""
-    enter, leave = 0.0, np.inf
+def may_meet_box(box, point, d, farthest):
+    """Whether a ray may meet a box (6,) nearer than `farthest` [m], for a unit d; where rounding decides, it may."""
+    enter, leave = 0.0, farthest
     for k in range(3):
+        if abs(d[k]) < ACROSS:
+            if point[k] < box[k] or point[k] > box[k + 3]:
+                return False
+            continue
         low, high = (box[k] - point[k]) / d[k], (box[k + 3] - point[k]) / d[k]
         if low > high:
             low, high = high, low

@@ -26,10 +26,8 @@ from fracture_collision.core.memory.vectors import (
     vector_at,
 )
 from fracture_collision.core.mesh.closest_point import unit_normal
+from fracture_collision.core.mesh.ray_crossings import may_meet_box
 
-# Rounding of where a ray meets the planes of a box, as a share.
-ROUNDING = 1e-12
-PARALLEL = 1e-200  # a ray whose direction has less of an axis goes across it
 NOTHING = -1
 
 
@@ -61,7 +59,7 @@ def first_hits(pools, trees, placed, rays, out):
             found = _nearer(pools, trees, placed, k, ray, found)
         node = 0
         while node < len(placed.node_box):
-            if not _meets_box(placed.node_box[node], ray[0], ray[1], found[1]):
+            if not may_meet_box(placed.node_box[node], ray[0], ray[1], found[1]):
                 node = placed.node_skip[node]
                 continue
             for k in range(placed.node_first[node], placed.node_first[node] + placed.node_count[node]):
@@ -96,7 +94,7 @@ def _first_of(pools, trees, row, o, d, best):
     node, end = trees.node_range[row]
     found, at = NOTHING, best
     while node < end:
-        if not _meets_box(trees.node_box[node], o, d, at):
+        if not may_meet_box(trees.node_box[node], o, d, at):
             node = trees.node_skip[node]
             continue
         for t in range(trees.node_first[node], trees.node_first[node] + trees.node_count[node]):
@@ -138,19 +136,3 @@ def _along(o, d, triangle):
     distance = dot(n, p) / toward
     return distance if distance >= 0.0 else math.inf
 
-
-@query_kernel
-def _meets_box(box, o, d, best):
-    """Whether a ray may meet a box nearer than `best` [m]."""
-    low, high = 0.0, best
-    for i in range(3):
-        if abs(d[i]) < PARALLEL:
-            if o[i] < box[i] or o[i] > box[i + 3]:
-                return False
-            continue
-        near, far = (box[i] - o[i]) / d[i], (box[i + 3] - o[i]) / d[i]
-        if near > far:
-            near, far = far, near
-        slack = ROUNDING * (abs(near) + abs(far))
-        low, high = max(low, near - slack), min(high, far + slack)
-    return low <= high
