@@ -18,7 +18,7 @@ world.add_fracture(event)
 
 ids, height = event.new_fragment_ids, -0.001 - mesh.vertices[:, 2].min()
 contacts = world.contacts(FragmentStates(1, 1, ids, [(0.0, 0.0, height)] * len(ids), [(0.0, 0.0, 0.0, 1.0)] * len(ids)))
-for pair, (a, b) in enumerate(zip(contacts.fragment_a, contacts.fragment_b, strict=True)):
-    gaps = 1e3 * contacts.gaps[contacts.pair_begin[pair] : contacts.pair_begin[pair + 1]]
-    bound = 1e3 * contacts.missed_depth_bound[pair]
-    print(f"fragments {a} and {b}: {len(gaps)} contacts, deepest gap {min(gaps):.3f} mm; unlisted to {bound:.3f} mm")
+for pair in contacts.pairs():
+    gaps, bound = 1e3 * pair.gaps, 1e3 * pair.missed_depth_bound
+    found = f"{len(gaps)} contacts, deepest gap {min(gaps):.3f} mm; unlisted to {bound:.3f} mm"
+    print(f"fragments {pair.a} and {pair.b}: {found}")

@@ -20,12 +20,11 @@ from fracture_collision.core.queries.overlaps import box_overlaps
 from fracture_collision.core.queries.rays import NOTHING, PlacedFragments, first_hits
 from fracture_collision.core.queries.surface_trees import SurfaceTrees
 from fracture_collision.core.search.scratch import make_scratch
-from fracture_collision.portable_math import lengths
+from fracture_collision.portable_math import lengths, products
 from fracture_collision.records import documented
 from fracture_collision.world.gates.checks import LARGEST_LENGTH, floats, identifier, refuse
 from fracture_collision.world.present import Present
 
-NO_FRAGMENT = -1
 ROUNDING = 1e-12  # of places in the world, as a share
 # Fragments so near to each other, as a share of R, touch; how often one is advanced at most: it needs a few dozen.
 TOUCHING, MOST_ADVANCES = 1e-7, 1000
@@ -171,7 +170,7 @@ def sweep(pools: Pools, trees: SurfaceTrees, here: Present, k: int, way: np.ndar
             return Sweep(share, int(here.ids[others[nearest]]), point, away / distance if distance > 0.0 else away)
         share += (distance - 0.5 * touching) / length  # which leaves a line between the two, for the normal
         others = others[is_near]
-    return Sweep(np.inf, NO_FRAGMENT, np.zeros(3), np.zeros(3))
+    return Sweep(np.inf, NOTHING, np.zeros(3), np.zeros(3))
 
 
 def cast_rays(pools: Pools, trees: SurfaceTrees, here: Present, origins: np.ndarray, directions: np.ndarray) -> RayHits:
@@ -185,7 +184,7 @@ def cast_rays(pools: Pools, trees: SurfaceTrees, here: Present, origins: np.ndar
     placed, order = _placed(pools, here)
     hits, distances, normals = np.empty(len(origins), np.int64), np.empty(len(origins)), np.empty((len(origins), 3))
     first_hits(pools, trees, placed, (origins, directions / length[:, None]), (hits, distances, normals))
-    ids = np.append(here.ids[order], NO_FRAGMENT)  # NOTHING is the last
+    ids = np.append(here.ids[order], NOTHING)  # which is the last
     return RayHits(ids[hits], distances, normals)
 
 
@@ -211,7 +210,7 @@ def closest_points(pools: Pools, trees: SurfaceTrees, here: Present, k: int, poi
     local = _in_body(here, k, points)
     distances, nearest, normals = np.empty(len(local)), np.empty_like(local), np.empty_like(local)
     closest(pools, trees, row, local, _scratch(pools), (distances, nearest, normals))
-    return ClosestPoints(distances, _turned(rotation, nearest) + here.positions[k], _turned(rotation, normals))
+    return ClosestPoints(distances, products(nearest, rotation.T) + here.positions[k], products(normals, rotation.T))
 
 
 def contains(pools: Pools, here: Present, k: int, points: np.ndarray) -> np.ndarray:
@@ -224,12 +223,7 @@ def contains(pools: Pools, here: Present, k: int, points: np.ndarray) -> np.ndar
 
 def _in_body(here: Present, k: int, points: np.ndarray) -> np.ndarray:
     given = floats("points", points, 3, LARGEST_LENGTH)
-    return np.ascontiguousarray(_turned(here.rotations[k].T, given - here.positions[k]))
-
-
-def _turned(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """(n, 3) turned, row by row, without BLAS, whose rounding differs between processors."""
-    return (rotation[None] * vectors[:, None]).sum(axis=2)
+    return np.ascontiguousarray(products(given - here.positions[k], here.rotations[k]))
 
 
 def _scratch(pools: Pools):
@@ -251,6 +245,3 @@ def _placed(pools: Pools, here: Present) -> tuple[PlacedFragments, np.ndarray]:
         order = np.append(bounded[leaves], order)
     rows, positions, rotations = here.rows[order], here.positions[order], here.rotations[order]
     return PlacedFragments(rows, positions, rotations, node_box, skip, first, count, len(bounded)), order
-
-
-assert NOTHING == NO_FRAGMENT
